@@ -1,0 +1,1 @@
+"""What a node is told: TOML in, validated settings out."""

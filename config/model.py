@@ -1,0 +1,16 @@
+"""The base of every settings model."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict
+
+
+class Settings(BaseModel):
+    """Frozen, typed, and strict about names: a key that no field has is a mistake, not a comment.
+
+    A docstring under a field becomes its description, in sample files and in the README's table.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, use_attribute_docstrings=True, validate_default=True, allow_inf_nan=False
+    )

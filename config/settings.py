@@ -1,0 +1,166 @@
+"""The sections of a node's configuration, but for sources and sinks: those keep their models beside them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from chachart.config.model import Settings
+from chachart.node.geometry import SPEED_OF_LIGHT, ArrayGeometry, Vector
+
+SpectralMethod = Literal["bartlett", "mvdr", "minnorm", "music"]
+ThetaMethod = Literal["bartlett", "mvdr", "minnorm", "music", "joint"]
+RhoMethod = Literal["bartlett", "mvdr", "minnorm", "music", "joint", "isq", "lr"]
+
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+class ArraySettings(Settings):
+    """`[array]`: the antenna array and the subcarriers it measures."""
+
+    name: str = Field("lab", min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_-]+$")
+    """Which array; goes into topics (`chart.<name>`) and recordings."""
+    antennas: int = Field(32, ge=2, le=1024)
+    """N_R, elements of the uniform linear array."""
+    carrier_hz: float = Field(2e9, gt=0)
+    """Carrier frequency; subcarrier n is at carrier_hz + n * subcarrier_spacing_hz."""
+    subcarriers: int = Field(32, ge=1, le=16384)
+    """N_S."""
+    subcarrier_spacing_hz: float = Field(9765.625, gt=0)
+    """Distance between neighbouring subcarriers."""
+    element_spacing_m: float | None = Field(None, gt=0)
+    """Distance between neighbouring elements; half a wavelength where it is not set."""
+    position_m: Vector = (0.0, 0.0, 10.0)
+    """World position of element 0."""
+    axis: Literal["x", "y", "z", "-x", "-y", "-z"] | Vector = "y"
+    """The direction in which element numbers grow; theta is measured from it."""
+    broadside: Literal["x", "y", "z", "-x", "-y", "-z"] | Vector | None = None
+    """The side that the chart shows; where not set, horizontal, right of the axis (x for axis y)."""
+    height_m: float | None = Field(None, ge=0)
+    """Height above the plane of the UEs; where set, slant ranges are projected to that plane."""
+    light_speed_m_s: float = Field(SPEED_OF_LIGHT, gt=0)
+    """Propagation speed; some published scenarios use 3e8."""
+    calibration: Path | None = None
+    """Calibration file to apply to every frame."""
+
+    @field_validator("axis", "broadside")
+    @classmethod
+    def _unit(cls, value: Any) -> Any:
+        if isinstance(value, tuple):
+            length = float(np.linalg.norm(value))
+            if length == 0:
+                raise ValueError("must not be the zero vector")
+            return tuple(v / length for v in value)
+        return value
+
+    def geometry(self) -> ArrayGeometry:
+        """The array as the estimators see it.
+
+        Raises
+        ------
+        ValueError
+            If axis and broadside are not orthogonal.
+        """
+        axis = _vector(self.axis)
+        if self.broadside is not None:
+            broadside = _vector(self.broadside)
+        elif abs(axis[2]) > 0.999:
+            broadside = (1.0, 0.0, 0.0)
+        else:
+            side = np.array([axis[1], -axis[0], 0.0])
+            broadside = _tuple(side / np.linalg.norm(side))
+        return ArrayGeometry(
+            name=self.name,
+            antennas=self.antennas,
+            subcarriers=self.subcarriers,
+            carrier_hz=self.carrier_hz,
+            subcarrier_spacing_hz=self.subcarrier_spacing_hz,
+            element_spacing_m=self.element_spacing_m or self.light_speed_m_s / self.carrier_hz / 2,
+            position_m=self.position_m,
+            axis=axis,
+            broadside=broadside,
+            height_m=self.height_m,
+            light_speed_m_s=self.light_speed_m_s,
+        )
+
+
+class EstimatorSettings(Settings):
+    """`[estimator]`: how theta and rho are estimated. The fields are ChartEstimator's arguments."""
+
+    theta: ThetaMethod = "bartlett"
+    """Angle method. `joint` goes with rho = "joint" only."""
+    rho: RhoMethod = "bartlett"
+    """Distance method: a spectral one across subcarriers, an amplitude one (isq, lr), or joint."""
+    averaging: Literal["mean", "exponential"] = "exponential"
+    """`mean` weighs all frames alike (UEs that stand still); `exponential` forgets (UEs that move)."""
+    memory_frames: float = Field(32.0, gt=0)
+    """Effective number of frames that `exponential` averaging remembers."""
+    signal_order: int | Literal["threshold", "mdl"] = 1
+    """Signal subspace of MUSIC and Min-Norm: a fixed order, an eigenvalue threshold, or MDL."""
+    order_threshold: float = Field(0.1, gt=0, lt=1)
+    """With signal_order = "threshold": eigenvalues above this fraction of the largest are signal."""
+    forward_backward: bool = False
+    """Average each covariance with its conjugate mirror image."""
+    loading: float = Field(0.05, ge=0)
+    """Diagonal loading of MVDR, as a fraction of the mean eigenvalue."""
+    theta_step_deg: float | None = Field(None, gt=0, le=10)
+    """Angle grid before refinement; where not set, as coarse as the refinement allows."""
+    rho_step_m: float | None = Field(None, gt=0)
+    """Range grid before refinement; where not set, as coarse as the refinement allows."""
+    rho_max_m: float = Field(1000.0, gt=0)
+    """Farthest range that is searched; never beyond the unambiguous c / subcarrier_spacing_hz."""
+    newton_steps: int = Field(4, ge=0, le=20)
+    """Newton steps from the grid's peak to the true one; 0 keeps the grid's resolution."""
+    amplitude: Literal["debiased", "coherent", "noisy"] = "debiased"
+    """Amplitude behind isq and lr: noise-debiased power, coherent mean (as published), mean of |h|."""
+    lr_train_ues: int = Field(256, ge=2)
+    """LR is fitted to the first so many UEs whose position is known."""
+    lr_log_range: bool = False
+    """LR fits log(rho) instead of rho."""
+    isq_reference: tuple[float, float] | None = None
+    """(distance in m, sum of amplitudes there) puts ISQ to scale; else known positions do, else nothing."""
+    forget_after_s: float | None = Field(None, gt=0)
+    """UEs unseen for so long leave the chart; not set: never."""
+    max_ues: int = Field(100_000, ge=1)
+    """At most so many UEs are kept; the one unseen for longest makes room."""
+
+
+class WorkersSettings(Settings):
+    """`[workers]`: the processes that estimate."""
+
+    count: int = Field(1, ge=1, le=64)
+    """Worker processes; a UE belongs to one of them for good."""
+    block_frames: int = Field(64, ge=1, le=4096)
+    """A block goes to its worker when it holds so many frames ..."""
+    linger_ms: float = Field(5.0, ge=0, le=1000)
+    """... or when its first frame has waited so long."""
+    queue_blocks: int = Field(64, ge=1, le=65536)
+    """Blocks that may wait for a worker before a lossless source waits and a live one drops its oldest."""
+    credit_blocks: int = Field(8, ge=1, le=1024)
+    """Blocks that a worker may hold unacknowledged."""
+
+
+class QualitySettings(Settings):
+    """`[quality]`: how good the chart is, where reference positions are known."""
+
+    every_s: float = Field(5.0, gt=0)
+    """How often quality is computed while the node runs."""
+    k: int | None = Field(None, ge=1)
+    """Neighbours for TW and CT; where not set, 5 % of the UEs with a known position."""
+    exact_ues: int = Field(4096, ge=4)
+    """Up to so many UEs TW and CT are exact; beyond, they are sampled and carry a standard error."""
+
+
+def _vector(value: str | Vector) -> Vector:
+    if isinstance(value, tuple):
+        return value
+    sign = -1.0 if value.startswith("-") else 1.0
+    return _tuple(sign * np.array(_AXES[value[-1]]))
+
+
+def _tuple(values: Any) -> Vector:
+    x, y, z = (float(v) + 0.0 for v in values)
+    return (x, y, z)

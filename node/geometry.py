@@ -1,0 +1,162 @@
+"""Where an array is and which way it looks: world positions, (theta, rho) and chart coordinates.
+
+Conventions (DESIGN of the chart): element n of the array sits at `position_m + n * element_spacing_m * axis`;
+theta is the cone angle to `axis` in 0..pi; rho is the slant range. In the chart, y runs along the axis and
+x along broadside: `x = rho sin(theta)`, `y = rho cos(theta)`. A linear array cannot tell its two sides apart;
+the chart takes the broadside one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+SPEED_OF_LIGHT = 299_792_458.0
+"""Speed of light in vacuum, m/s."""
+
+Vector = tuple[float, float, float]
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayGeometry:
+    """A uniform linear array and the subcarriers it measures.
+
+    Parameters
+    ----------
+    name
+        Which array; goes into topics and recordings.
+    antennas, subcarriers
+        N_R and N_S.
+    carrier_hz, subcarrier_spacing_hz
+        Subcarrier n is at `carrier_hz + n * subcarrier_spacing_hz`.
+    element_spacing_m
+        Distance d between neighbouring elements.
+    position_m
+        World position of element 0.
+    axis, broadside
+        Orthogonal unit vectors: the line of the elements, and the side that the chart shows.
+    height_m
+        Height of the array above the plane of the UEs; None leaves the slant range unprojected.
+    light_speed_m_s
+        Propagation speed; some published scenarios round it to 3e8.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range, or axis and broadside are not orthogonal unit vectors.
+    """
+
+    name: str
+    antennas: int
+    subcarriers: int
+    carrier_hz: float
+    subcarrier_spacing_hz: float
+    element_spacing_m: float
+    position_m: Vector = (0.0, 0.0, 0.0)
+    axis: Vector = (0.0, 1.0, 0.0)
+    broadside: Vector = (1.0, 0.0, 0.0)
+    height_m: float | None = None
+    light_speed_m_s: float = SPEED_OF_LIGHT
+
+    def __post_init__(self) -> None:
+        for name in ("antennas", "subcarriers", "carrier_hz", "element_spacing_m", "light_speed_m_s"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+        if not np.isfinite(self.subcarrier_spacing_hz) or self.subcarrier_spacing_hz <= 0:
+            raise ValueError(f"subcarrier_spacing_hz must be positive, not {self.subcarrier_spacing_hz}")
+        axis, broadside = np.asarray(self.axis), np.asarray(self.broadside)
+        for name, v in (("axis", axis), ("broadside", broadside)):
+            if v.shape != (3,) or not np.isclose(np.linalg.norm(v), 1.0, atol=1e-6):
+                raise ValueError(f"{name} must be a unit vector of 3 numbers, not {getattr(self, name)}")
+        if abs(float(axis @ broadside)) > 1e-6:
+            raise ValueError(f"broadside {self.broadside} must be orthogonal to axis {self.axis}")
+
+    @property
+    def wavelength_m(self) -> float:
+        """Wavelength at the carrier."""
+        return self.light_speed_m_s / self.carrier_hz
+
+    @property
+    def theta_phase(self) -> float:
+        """Phase step between neighbouring elements at theta = 0: u = theta_phase * cos(theta)."""
+        return 2 * np.pi * self.element_spacing_m / self.wavelength_m
+
+    @property
+    def rho_phase(self) -> float:
+        """Phase step between neighbouring subcarriers per metre: u = rho_phase * rho (negative)."""
+        return -2 * np.pi * self.subcarrier_spacing_hz / self.light_speed_m_s
+
+    @property
+    def unambiguous_rho_m(self) -> float:
+        """Largest range the subcarrier grid can tell from zero, c / spacing."""
+        return self.light_speed_m_s / self.subcarrier_spacing_hz
+
+    def element_positions(self) -> FloatArray:
+        """World positions of the elements, (antennas, 3) in metres."""
+        steps = np.arange(self.antennas, dtype=np.float64)[:, None] * self.element_spacing_m
+        return np.asarray(self.position_m, np.float64) + steps * np.asarray(self.axis, np.float64)
+
+    def theta_rho(self, position: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
+        """True cone angle (rad) and slant range (m) of world positions (..., 3)."""
+        offset = np.asarray(position, np.float64) - np.asarray(self.position_m)
+        rho: FloatArray = np.linalg.norm(offset, axis=-1)
+        cosine = np.divide(offset @ np.asarray(self.axis), rho, out=np.zeros_like(rho), where=rho > 0)
+        return np.arccos(np.clip(cosine, -1.0, 1.0)), rho
+
+    def chart_xy(self, theta: NDArray[Any], rho: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
+        """Chart coordinates (m) of cone angles (rad) and slant ranges (m).
+
+        Where `height_m` is set, the slant range is projected to the plane of the UEs; a range too short to
+        reach the plane lands on x = 0.
+        """
+        theta, rho = np.asarray(theta, np.float64), np.asarray(rho, np.float64)
+        x, y = rho * np.sin(theta), rho * np.cos(theta)
+        if self.height_m is not None:
+            x = np.sqrt(np.maximum(x * x - self.height_m**2, 0.0))
+        return x, y
+
+    def chart_of(self, position: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
+        """Chart-frame coordinates (m) of world positions (..., 3): x along broadside, y along the axis."""
+        offset = np.asarray(position, np.float64) - np.asarray(self.position_m)
+        return offset @ np.asarray(self.broadside), offset @ np.asarray(self.axis)
+
+    def mismatches(self, other: ArrayGeometry) -> list[str]:
+        """What differs between two descriptions of one array, one phrase a field; the name does not count."""
+        return [
+            f"{f.name}: {getattr(self, f.name)} against {getattr(other, f.name)}"
+            for f in fields(self)
+            if f.name != "name" and not _same(getattr(self, f.name), getattr(other, f.name))
+        ]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON and metadata; `from_dict` reads them back."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> ArrayGeometry:
+        """Build from `as_dict`'s values; unknown keys are an error.
+
+        Raises
+        ------
+        ValueError
+            If a key is unknown or missing, or a value does not fit.
+        """
+        known = {f.name for f in fields(cls)}
+        if unknown := sorted(set(values) - known):
+            raise ValueError(f"unknown array fields: {', '.join(unknown)}")
+        plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        try:
+            return cls(**plain)
+        except TypeError as error:
+            raise ValueError(f"not a description of an array: {error}") from None
+
+
+def _same(a: Any, b: Any) -> bool:
+    if a is None or b is None or isinstance(a, str):
+        return bool(a == b)
+    return bool(np.allclose(a, b, rtol=1e-6, atol=1e-9))

@@ -1,0 +1,1 @@
+"""Processes and sockets: dispatch, workers, collector, supervision, status."""

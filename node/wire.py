@@ -1,0 +1,219 @@
+"""Protocol 1: CSI blocks, charts, quality and status as bytes. Pure functions, no sockets.
+
+Receivers check everything before they trust it: a message that does not fit raises `WireError` with a
+short `reason` to count it by. Sizes are checked against what the bytes hold before anything is allocated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+
+from chachart.node.chart import ChartUpdate, Method
+from chachart.node.csi import CsiBlock
+
+VERSION = 1
+MAX_HEADER_BYTES = 4 * 1024 * 1024
+MAX_CSI_BYTES = 256 * 1024 * 1024
+MAX_NAME = 128
+
+Buffer = bytes | bytearray | memoryview
+
+
+class WireError(ValueError):
+    """A message that is not protocol 1. `reason` is a short word to count it by."""
+
+    def __init__(self, reason: str, detail: str) -> None:
+        super().__init__(f"{reason}: {detail}")
+        self.reason = reason
+
+
+def encode_csi(block: CsiBlock) -> list[bytes | memoryview]:
+    """The two parts `[header, csi]` of a block; the second is a view of the block's own memory."""
+    header: dict[str, Any] = {
+        "v": VERSION,
+        "type": "csi",
+        "array": block.array,
+        "seq": block.seq,
+        "shape": list(block.csi.shape),
+        "dtype": "<c8",
+        "ue": _raw(block.ue, "<u8"),
+        "time_ns": _raw(block.time_ns, "<i8"),
+    }
+    if block.position is not None:
+        header["position"] = _raw(block.position, "<f4")
+    csi = np.ascontiguousarray(block.csi, "<c8")
+    return [msgpack.packb(header), csi.data.cast("B")]
+
+
+def decode_csi(parts: Sequence[Buffer]) -> CsiBlock:
+    """The block that `[header, csi]` holds; complex64 samples are a read-only view of the second part.
+
+    `"<i2"` samples (interleaved I, Q with a `scale`) become complex64.
+
+    Raises
+    ------
+    WireError
+        With reason `parts`, `header`, `version`, `type`, `field`, `shape`, `dtype`, `size` or `scale`.
+    """
+    if len(parts) != 2:
+        raise WireError("parts", f"a CSI message has 2 parts, not {len(parts)}")
+    header = _unpack(parts[0], "csi")
+    array = _field(header, "array", str)
+    if not 0 < len(array) <= MAX_NAME:
+        raise WireError("field", f"array must have 1 to {MAX_NAME} characters, not {len(array)}")
+    seq = _field(header, "seq", int)
+    shape = _field(header, "shape", list)
+    if len(shape) != 3 or not all(type(n) is int and n > 0 for n in shape):
+        raise WireError(
+            "shape", f"shape must be [frames, antennas, subcarriers], all positive, not {shape}"[:200]
+        )
+    frames = shape[0]
+    csi = _samples(header, parts[1], shape)
+    position = None
+    if "position" in header:
+        position = _column(header, "position", "<f4", frames * 3).reshape(frames, 3)
+    return CsiBlock(
+        array,
+        seq,
+        _column(header, "ue", "<u8", frames),
+        _column(header, "time_ns", "<i8", frames),
+        csi,
+        position,
+    )
+
+
+def chart_topic(array: str) -> bytes:
+    """The topic under which charts of `array` are published."""
+    return b"chart." + array.encode()
+
+
+def encode_chart(update: ChartUpdate, seq: int) -> bytes:
+    """The msgpack body of a chart message; plain lists, so that any language reads it."""
+    body: dict[str, Any] = {
+        "v": VERSION,
+        "type": "chart",
+        "array": update.array,
+        "seq": seq,
+        "method": {"theta": update.method.theta, "rho": update.method.rho},
+    }
+    for f in fields(update)[2:-1]:
+        body[f.name] = getattr(update, f.name).tolist()
+    if update.position is not None:
+        body["position"] = update.position.tolist()
+    return bytes(msgpack.packb(body))
+
+
+def decode_chart(body: Buffer) -> tuple[int, ChartUpdate]:
+    """The sequence number and the update that a chart message holds.
+
+    Raises
+    ------
+    WireError
+        With reason `header`, `version`, `type` or `field`.
+    """
+    message = _unpack(body, "chart")
+    method = _field(message, "method", dict)
+    integers = {"ue": np.uint64, "time_ns": np.int64}
+    rows = len(_field(message, "ue", list))
+    columns = {}
+    for f in fields(ChartUpdate)[2:-1]:
+        optional = f.name in ("theta_std", "rho_std") and f.name not in message
+        values = [math.nan] * rows if optional else _field(message, f.name, list)
+        columns[f.name] = _numbers(f.name, values, integers.get(f.name, np.float64), (rows,))
+    position = None
+    if "position" in message:
+        position = _numbers("position", _field(message, "position", list), np.float32, (rows, 3))
+    update = ChartUpdate(
+        _field(message, "array", str),
+        Method(_field(method, "theta", str), _field(method, "rho", str)),
+        position=position,
+        **columns,
+    )
+    return _field(message, "seq", int), update
+
+
+def encode_report(kind: str, array: str, seq: int, time_ns: int, values: Mapping[str, Any]) -> bytes:
+    """The msgpack body of a `quality` or `status` message: `values` beside the usual header fields."""
+    body = {"v": VERSION, "type": kind, "array": array, "seq": seq, "time_ns": time_ns, **values}
+    return bytes(msgpack.packb(body))
+
+
+def decode_report(kind: str, body: Buffer) -> dict[str, Any]:
+    """The map that a `quality` or `status` message holds.
+
+    Raises
+    ------
+    WireError
+        With reason `header`, `version` or `type`.
+    """
+    return _unpack(body, kind)
+
+
+def _raw(values: NDArray[Any], dtype: str) -> bytes:
+    return np.ascontiguousarray(values, dtype).tobytes()
+
+
+def _unpack(body: Buffer, kind: str) -> dict[str, Any]:
+    if len(body) > MAX_HEADER_BYTES:
+        raise WireError("size", f"{len(body)} bytes of msgpack, at most {MAX_HEADER_BYTES} are read")
+    try:
+        message = msgpack.unpackb(body)
+    except (ValueError, TypeError, RecursionError, msgpack.exceptions.UnpackException) as error:
+        raise WireError("header", f"not msgpack: {error}") from None
+    if not isinstance(message, dict):
+        raise WireError("header", f"a map is expected, not {type(message).__name__}")
+    if message.get("v") != VERSION:
+        raise WireError("version", f"v must be {VERSION}, not {message.get('v')!r}"[:200])
+    if message.get("type") != kind:
+        raise WireError("type", f"type must be {kind!r}, not {message.get('type')!r}"[:200])
+    return message
+
+
+def _field(message: Mapping[str, Any], name: str, kind: type) -> Any:
+    value = message.get(name)
+    if type(value) is not kind:
+        raise WireError("field", f"{name} must be {kind.__name__}, not {type(value).__name__}")
+    return value
+
+
+def _column(header: Mapping[str, Any], name: str, dtype: str, n: int) -> NDArray[Any]:
+    raw = _field(header, name, bytes)
+    if len(raw) != n * np.dtype(dtype).itemsize:
+        raise WireError("size", f"{name} must hold {n} values of {dtype}, not {len(raw)} bytes")
+    native = np.dtype(dtype).newbyteorder("=")
+    return np.frombuffer(raw, dtype).astype(native, copy=False)
+
+
+def _samples(header: Mapping[str, Any], raw: Buffer, shape: list[int]) -> NDArray[np.complex64]:
+    dtype = header.get("dtype")
+    if dtype not in ("<c8", "<i2"):
+        raise WireError("dtype", f"dtype must be '<c8' or '<i2', not {dtype!r}"[:200])
+    size = memoryview(raw).nbytes
+    expected = math.prod(shape) * (8 if dtype == "<c8" else 4)
+    if size != expected or size > MAX_CSI_BYTES:
+        raise WireError(
+            "size",
+            f"shape {shape} of {dtype} takes {expected} bytes (at most {MAX_CSI_BYTES}), not {size}"[:200],
+        )
+    if dtype == "<c8":
+        return np.frombuffer(raw, "<c8").reshape(shape).astype(np.complex64, copy=False)
+    scale = header.get("scale")
+    if not isinstance(scale, int | float) or not math.isfinite(scale) or scale <= 0:
+        raise WireError("scale", f"scale must be a positive number, not {scale!r}"[:200])
+    pairs = np.frombuffer(raw, "<i2").astype(np.float32) * np.float32(scale)
+    return pairs.view(np.complex64).reshape(shape)
+
+
+def _numbers(name: str, values: list[Any], dtype: type, shape: tuple[int, ...]) -> NDArray[Any]:
+    try:
+        column: NDArray[Any] = np.array(values, dtype).reshape(shape)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise WireError("field", f"{name} does not hold {shape} numbers: {error}"[:200]) from None
+    return column

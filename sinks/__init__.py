@@ -1,0 +1,1 @@
+"""Where charts go: publisher, logs, recorder, metrics, live view."""

@@ -1,0 +1,91 @@
+"""What every sink is: somewhere charts, quality reports, status reports or raw CSI go.
+
+The runtime gives each sink a thread and a bounded queue of its own and calls it from that thread only, so a
+slow sink never holds up the estimates; what its queue could not take is counted by the runtime. Sinks with
+`wants_csi` run beside the source and get its blocks; all others run beside the collector and get its reports.
+"""
+
+from __future__ import annotations
+
+from abc import ABC
+from typing import Any, ClassVar, Protocol
+
+from chachart.config.model import Settings
+from chachart.node.chart import ChartUpdate
+from chachart.node.csi import CsiBlock
+from chachart.node.geometry import ArrayGeometry
+
+
+class SinkSettings(Settings):
+    """What every sink's table in a configuration has."""
+
+    type: str
+    """Which sink."""
+
+
+class NodeAccess(Protocol):
+    """What a sink may ask of the node it belongs to; safe to call from any thread."""
+
+    def chart(self) -> ChartUpdate | None:
+        """The whole chart as it stands, or None before the first estimate."""
+
+    def status(self) -> dict[str, Any]:
+        """The latest status report."""
+
+    def quality(self) -> dict[str, Any] | None:
+        """The latest quality report, or None where no reference position is known."""
+
+
+class Sink(ABC):
+    """Where charts go. Override what the sink cares about.
+
+    Attributes
+    ----------
+    Settings
+        The settings model of this sink, found by `type`.
+    wants_csi
+        True for sinks that take the CSI that came in rather than charts.
+    """
+
+    Settings: ClassVar[type[SinkSettings]]
+    wants_csi: ClassVar[bool] = False
+
+    def __init__(self, settings: Any, array: ArrayGeometry) -> None:
+        self.settings = settings
+        self.array = array
+
+    @classmethod
+    def problems(cls, settings: Any) -> list[str]:
+        """What would keep the sink from opening, as far as can be told without opening it."""
+        return []
+
+    def open(self, node: NodeAccess | None) -> None:
+        """Take hold of files and ports; `node` is None for sinks with `wants_csi`.
+
+        Raises
+        ------
+        SetupError
+            If one of them cannot be had.
+        """
+
+    def on_csi(self, block: CsiBlock) -> None:
+        """A block that came in."""
+
+    def on_chart(self, update: ChartUpdate) -> None:
+        """Estimates since the last call; a UE occurs once."""
+
+    def on_quality(self, report: dict[str, Any]) -> None:
+        """How good the chart is: `tw`, `ct`, `k`, `ues`, `stress`, `error_m` and their like."""
+
+    def on_status(self, report: dict[str, Any]) -> None:
+        """The node's counters and rates."""
+
+    def on_tick(self) -> None:
+        """Called about 20 times a second between the other calls, for whatever must not wait for data."""
+
+    def close(self) -> None:
+        """Flush and let go. May be called twice."""
+
+    def where(self) -> str | None:
+        """Where a person finds what the sink gives (an endpoint, a file, an address), or None."""
+        return None

@@ -1,0 +1,1 @@
+"""Where CSI comes from: simulator, recordings, ZeroMQ producers, array front-ends."""

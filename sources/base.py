@@ -1,0 +1,103 @@
+"""What every source of CSI is.
+
+A source lives in its own process, in the hands of the runtime: `open`, then `recv` until `EndOfSource`, then
+`close`. It knows the data types and nothing of who reads them. Drivers are imported in `open`, so that a
+missing one only matters to whoever asks for it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from types import TracebackType
+from typing import Any, ClassVar, Self
+
+from chachart.config.model import Settings
+from chachart.node.counters import Counters
+from chachart.node.csi import CsiBlock
+from chachart.node.geometry import ArrayGeometry
+
+
+class EndOfSource(Exception):
+    """Raised by `Source.recv` when no frame will ever come again."""
+
+
+class SourceSettings(Settings):
+    """What every source's table in a configuration has."""
+
+    type: str
+    """Which source."""
+
+
+class Source(ABC):
+    """Where CSI comes from.
+
+    Attributes
+    ----------
+    Settings
+        The settings model of this source, found by `type`.
+    lossless
+        True: the node makes the source wait and never drops a frame (a recording). False: the world does not
+        wait (an array); when the node is too slow the oldest waiting block is dropped and counted.
+    rejected
+        What came in and was no usable frame, counted by reason.
+    """
+
+    Settings: ClassVar[type[SourceSettings]]
+    lossless: bool = False
+
+    def __init__(self, settings: Any, array: ArrayGeometry) -> None:
+        self.settings = settings
+        self.array = array
+        self.rejected = Counters()
+
+    @classmethod
+    def carried_array(cls, settings: Any) -> ArrayGeometry | None:
+        """The array that the source itself describes (a recording does), or None.
+
+        Raises
+        ------
+        SetupError
+            If the source cannot be read.
+        """
+        return None
+
+    @classmethod
+    def problems(cls, settings: Any) -> list[str]:
+        """What would keep the source from opening, as far as can be told without opening it."""
+        return []
+
+    @abstractmethod
+    def open(self) -> None:
+        """Take hold of files, ports and devices.
+
+        Raises
+        ------
+        SetupError
+            If one of them cannot be had.
+        """
+
+    @abstractmethod
+    def recv(self, timeout: float) -> CsiBlock | None:
+        """The next block, or None if none came within `timeout` seconds.
+
+        Raises
+        ------
+        EndOfSource
+            When the source has nothing more to give.
+        """
+
+    def close(self) -> None:
+        """Let go of what `open` took. May be called twice."""
+
+    def details(self) -> dict[str, Any]:
+        """What a status display may show of this source beyond counts: plain msgpack values."""
+        return {}
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,1 @@
+"""Simulated worlds: where the UEs are, how they move, and the channels they see."""
