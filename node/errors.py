@@ -12,3 +12,7 @@ class SetupError(Exception):
     The message is one complete line that says which, where and what would be right; commands print it
     without a traceback and exit with `EX_CONFIG`.
     """
+
+
+class RequestError(ValueError):
+    """A request to a running node that it cannot fulfil; the message says why, in one line."""

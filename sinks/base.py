@@ -35,6 +35,19 @@ class NodeAccess(Protocol):
     def quality(self) -> dict[str, Any] | None:
         """The latest quality report, or None where no reference position is known."""
 
+    def request(self, operation: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        """Ask the node to do something; answers with plain values that msgpack and JSON can hold.
+
+        Operations: `status` {}, `ues` {}, `chart` {}, `spectrum` {ue}, `set_method` {theta, rho} and
+        `record` {on, path}; `chachart.node.runtime.requests` says what each answers.
+
+        Raises
+        ------
+        RequestError
+            If the operation or an argument is unknown, does not fit, or nobody answers in time; nothing
+            has changed then.
+        """
+
 
 class Sink(ABC):
     """Where charts go. Override what the sink cares about.
