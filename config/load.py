@@ -1,0 +1,263 @@
+"""TOML and `--set` overrides in, validated settings out; all mistakes at once, with what would be right."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from chachart.config.describe import allowed, literal_values, nested_model, toml
+from chachart.config.model import Settings
+from chachart.config.overrides import apply
+from chachart.config.registry import Kind, available, settings_class, suggestion
+from chachart.config.settings import ArraySettings, EstimatorSettings, QualitySettings, WorkersSettings
+from chachart.node.errors import SetupError
+from chachart.node.geometry import ArrayGeometry
+from chachart.sinks.base import SinkSettings
+from chachart.sources.base import SourceSettings
+
+LAB = Path(__file__).with_name("lab.toml")
+"""The configuration of a node that is given none."""
+
+SECTIONS = ("array", "source", "estimator", "workers", "quality", "sinks")
+SPECTRAL = ("bartlett", "mvdr", "minnorm", "music", "joint")
+
+AnySettings = TypeVar("AnySettings", bound=Settings)
+Location = tuple[str | int, ...]
+
+
+class ConfigError(SetupError):
+    """A configuration with mistakes; the message has one line for each.
+
+    Attributes
+    ----------
+    mistakes
+        The lines.
+    """
+
+    def __init__(self, mistakes: Sequence[str]) -> None:
+        super().__init__("\n".join(mistakes))
+        self.mistakes = tuple(mistakes)
+
+
+@dataclass(frozen=True, slots=True)
+class NodeSettings:
+    """What a node is told.
+
+    Attributes
+    ----------
+    array
+        None where no `[array]` is given: the source's own array is used, or the default one.
+    source, estimator, workers, quality, sinks
+        The other sections of the configuration.
+    """
+
+    array: ArraySettings | None
+    source: SourceSettings
+    estimator: EstimatorSettings
+    workers: WorkersSettings
+    quality: QualitySettings
+    sinks: tuple[SinkSettings, ...]
+
+
+def load(path: Path | None = None, overrides: Sequence[str] = ()) -> NodeSettings:
+    """The settings in the TOML file `path` (the shipped lab.toml if None), changed by `section.key=value`s.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, or it or an override has mistakes: all of them.
+    """
+    name = str(path or LAB.name)
+    path = path or LAB
+    return _Loader(name, _read(path), overrides).settings()
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise ConfigError([f"{path}: cannot be read: {error.strerror}"]) from None
+    except UnicodeDecodeError as error:
+        raise ConfigError([f"{path}: is not UTF-8 text: {error.reason} at byte {error.start}"]) from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError([f"{path}: is not TOML: {error}"]) from None
+
+
+class _Loader:
+    """One pass over one document, collecting mistakes."""
+
+    def __init__(self, name: str, document: dict[str, Any], overrides: Sequence[str]) -> None:
+        self.name = name
+        self.document = document
+        self.mistakes: list[str] = []
+        self.overridden, wrong = apply(document, overrides)
+        self.mistakes += wrong
+
+    def settings(self) -> NodeSettings:
+        """The settings.
+
+        Raises
+        ------
+        ConfigError
+            If anything is wrong.
+        """
+        for section in self.document:
+            if section not in SECTIONS:
+                hint = suggestion(section, list(SECTIONS))
+                self._wrong((section,), f"there is no such section, only {', '.join(SECTIONS)}{hint}")
+        array = self._section(ArraySettings, "array") if "array" in self.document else None
+        source = self._component("source", ("source",), self._table("source"))
+        estimator = self._section(EstimatorSettings, "estimator")
+        workers = self._section(WorkersSettings, "workers")
+        quality = self._section(QualitySettings, "quality")
+        sinks = [self._component("sink", ("sinks", n), table) for n, table in enumerate(self._sinks())]
+        geometry = self._geometry(array) if array else None
+        if estimator and (array is None or geometry):
+            for key, problem in _disagreements(estimator, geometry):
+                self._wrong(("estimator", key), problem, getattr(estimator, key))
+        if self.mistakes or source is None or estimator is None or workers is None or quality is None:
+            raise ConfigError(self.mistakes)
+        return NodeSettings(
+            array,
+            cast(SourceSettings, source),
+            estimator,
+            workers,
+            quality,
+            tuple(cast(SinkSettings, sink) for sink in sinks),
+        )
+
+    def _wrong(self, location: Location, problem: str, value: Any = None) -> None:
+        origin = "--set " if location in self.overridden else f"{self.name}: "
+        shown = f" = {_brief(value)}" if value is not None else ""
+        self.mistakes.append(f"{origin}{'.'.join(map(str, location))}{shown}: {problem}")
+
+    def _table(self, section: str) -> dict[str, Any] | None:
+        table = self.document.get(section, {})
+        if isinstance(table, dict):
+            return table
+        self._wrong((section,), f"must be a table: [{section}] on a line of its own, its keys below", table)
+        return None
+
+    def _sinks(self) -> list[dict[str, Any]]:
+        sinks = self.document.get("sinks", [])
+        if isinstance(sinks, list) and all(isinstance(s, dict) for s in sinks):
+            return sinks
+        self._wrong(("sinks",), "must be a list of tables: [[sinks]] in front of each, its keys below")
+        return []
+
+    def _section(self, model: type[AnySettings], section: str) -> AnySettings | None:
+        table = self._table(section)
+        return None if table is None else self._validate(model, (section,), table)
+
+    def _component(self, kind: Kind, where: Location, table: dict[str, Any] | None) -> Settings | None:
+        if table is None:
+            return None
+        location = (*where, "type")
+        name = table.get("type")
+        names = ", ".join(f'"{n}"' for n in available(kind))
+        if name is None:
+            self._wrong(location, f"is missing; it must be one of {names}")
+            return None
+        if not isinstance(name, str):
+            self._wrong(location, f"must be one of {names}", name)
+            return None
+        try:
+            model = settings_class(kind, name)
+        except SetupError as error:
+            self._wrong(location, str(error), name)
+            return None
+        return self._validate(model, where, table)
+
+    def _geometry(self, array: ArraySettings) -> ArrayGeometry | None:
+        try:
+            return array.geometry()
+        except ValueError as error:
+            self._wrong(("array",), str(error))
+            return None
+
+    def _validate(
+        self, model: type[AnySettings], where: Location, table: dict[str, Any]
+    ) -> AnySettings | None:
+        """The instance; None with mistakes noted. Read as JSON, so that 4 is no text and "4" no number."""
+        try:
+            return model.model_validate_json(json.dumps(table, default=str), strict=True)
+        except ValidationError as error:
+            seen: set[Location] = set()
+            for detail in error.errors():
+                location, field, owner = _find(model, detail["loc"])
+                if location not in seen:
+                    seen.add(location)
+                    value = _value(table, location) if location else None
+                    self._wrong((*where, *location), _problem(detail, value, field, owner), value)
+            return None
+
+
+def _find(model: type[Settings], loc: Location) -> tuple[Location, FieldInfo | None, type[BaseModel]]:
+    """Where an error is in terms of keys (branches of unions left out), its field, and whose it is."""
+    location: list[str] = []
+    field: FieldInfo | None = None
+    owner: type[BaseModel] = model
+    for step in loc:
+        if field and (nested := nested_model(field.annotation)):
+            owner = nested
+        elif field:
+            break
+        if isinstance(step, str) and (step in owner.model_fields or step == loc[-1]):
+            location.append(step)
+            field = owner.model_fields.get(step)
+    return tuple(location), field, owner
+
+
+def _problem(detail: ErrorDetails, value: Any, field: FieldInfo | None, owner: type[BaseModel]) -> str:
+    if detail["type"] == "extra_forbidden":
+        keys = list(owner.model_fields)
+        return f"there is no such key{suggestion(detail['loc'][-1], keys)}; the keys are {', '.join(keys)}"
+    if detail["type"] in ("value_error", "assertion_error") or field is None:
+        return detail["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
+    if value is None:
+        return f"is missing; it must be {allowed(field)}"
+    return f"must be {allowed(field)}{suggestion(value, list(map(str, literal_values(field.annotation))))}"
+
+
+def _disagreements(estimator: EstimatorSettings, array: ArrayGeometry | None) -> Iterator[tuple[str, str]]:
+    """Keys of `[estimator]` that do not go with each other or with the array, and why."""
+    if (estimator.theta == "joint") != (estimator.rho == "joint"):
+        key, other = ("rho", "theta") if estimator.theta == "joint" else ("theta", "rho")
+        yield key, f'must be "joint" as {other} is: the joint method estimates both at once'
+    if isinstance(estimator.signal_order, int) and estimator.signal_order < 1:
+        yield "signal_order", 'must be a whole number >= 1, "threshold" or "mdl"'
+    if estimator.rho_step_m is not None and estimator.rho_step_m > estimator.rho_max_m:
+        yield "rho_step_m", f"must be at most rho_max_m = {estimator.rho_max_m:g}"
+    if array is None:
+        return
+    if estimator.rho in SPECTRAL and array.subcarriers < 2:
+        yield "rho", 'must be "isq" or "lr": with 1 subcarrier there is no delay to see'
+    if "rho_max_m" in estimator.model_fields_set and estimator.rho_max_m > array.unambiguous_rho_m * 1.001:
+        limit = f"c / array.subcarrier_spacing_hz = {array.unambiguous_rho_m:.1f}"
+        yield "rho_max_m", f"must be at most {limit}, where ranges start to repeat"
+    sizes = [array.antennas] if estimator.theta in ("music", "minnorm") else []
+    sizes += [array.subcarriers] if estimator.rho in ("music", "minnorm") else []
+    if isinstance(estimator.signal_order, int) and sizes and estimator.signal_order >= min(sizes):
+        yield "signal_order", f"must be below {min(sizes)}, the number of antennas or subcarriers"
+
+
+def _brief(value: Any) -> str:
+    text = toml(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _value(table: Any, location: Location) -> Any:
+    for step in location:
+        try:
+            table = table[step]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return table
