@@ -1,0 +1,32 @@
+"""Unit phasors and geometric progressions of them, in single precision but for the phase."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def phasor(cycles: NDArray[np.float64]) -> NDArray[np.complex64]:
+    """exp(j 2 pi cycles) in complex64; whole cycles are taken off in double precision before."""
+    angle = (2 * np.pi * (cycles - np.rint(cycles))).astype(np.float32)
+    out = np.empty(angle.shape, np.complex64)
+    np.cos(angle, out=out.real)
+    np.sin(angle, out=out.imag)
+    return out
+
+
+def progression(first: NDArray[Any], step_cycles: NDArray[np.float64], n: int) -> NDArray[np.complex64]:
+    """first * exp(j 2 pi k step_cycles) for k = 0..n-1 along a new last axis, (..., n) complex64.
+
+    Made by doubling: log2(n) products instead of n exponentials, each factor from its exact phase.
+    """
+    out = np.empty((*first.shape, n), np.complex64)
+    out[..., 0] = first
+    done = 1
+    while done < n:
+        more = min(done, n - done)
+        np.multiply(out[..., :more], phasor(done * step_cycles)[..., None], out=out[..., done : done + more])
+        done += more
+    return out
