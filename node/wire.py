@@ -36,20 +36,12 @@ class WireError(ValueError):
 
 def encode_csi(block: CsiBlock) -> list[bytes | memoryview]:
     """The two parts `[header, csi]` of a block; the second is a view of the block's own memory."""
-    header: dict[str, Any] = {
-        "v": VERSION,
-        "type": "csi",
-        "array": block.array,
-        "seq": block.seq,
-        "shape": list(block.csi.shape),
-        "dtype": "<c8",
-        "ue": _raw(block.ue, "<u8"),
-        "time_ns": _raw(block.time_ns, "<i8"),
-    }
-    if block.position is not None:
-        header["position"] = _raw(block.position, "<f4")
-    csi = np.ascontiguousarray(block.csi, "<c8")
-    return [msgpack.packb(header), csi.data.cast("B")]
+    return [msgpack.packb(_csi_header(block)), _csi_bytes(block)]
+
+
+def encode_csi_map(block: CsiBlock) -> bytes:
+    """A block as one self-contained msgpack map: the header of `encode_csi` and the samples as `csi`."""
+    return bytes(msgpack.packb({**_csi_header(block), "csi": _csi_bytes(block)}))
 
 
 def decode_csi(parts: Sequence[Buffer]) -> CsiBlock:
@@ -64,29 +56,19 @@ def decode_csi(parts: Sequence[Buffer]) -> CsiBlock:
     """
     if len(parts) != 2:
         raise WireError("parts", f"a CSI message has 2 parts, not {len(parts)}")
-    header = _unpack(parts[0], "csi")
-    array = _field(header, "array", str)
-    if not 0 < len(array) <= MAX_NAME:
-        raise WireError("field", f"array must have 1 to {MAX_NAME} characters, not {len(array)}")
-    seq = _field(header, "seq", int)
-    shape = _field(header, "shape", list)
-    if len(shape) != 3 or not all(type(n) is int and n > 0 for n in shape):
-        raise WireError(
-            "shape", f"shape must be [frames, antennas, subcarriers], all positive, not {shape}"[:200]
-        )
-    frames = shape[0]
-    csi = _samples(header, parts[1], shape)
-    position = None
-    if "position" in header:
-        position = _column(header, "position", "<f4", frames * 3).reshape(frames, 3)
-    return CsiBlock(
-        array,
-        seq,
-        _column(header, "ue", "<u8", frames),
-        _column(header, "time_ns", "<i8", frames),
-        csi,
-        position,
-    )
+    return _csi_block(_unpack(parts[0], "csi"), parts[1])
+
+
+def decode_csi_map(body: Buffer) -> CsiBlock:
+    """The block that a map of `encode_csi_map` holds.
+
+    Raises
+    ------
+    WireError
+        As `decode_csi`.
+    """
+    message = _unpack(body, "csi", MAX_HEADER_BYTES + MAX_CSI_BYTES)
+    return _csi_block(message, _field(message, "csi", bytes))
 
 
 def chart_topic(array: str) -> bytes:
@@ -156,13 +138,58 @@ def decode_report(kind: str, body: Buffer) -> dict[str, Any]:
     return _unpack(body, kind)
 
 
+def _csi_header(block: CsiBlock) -> dict[str, Any]:
+    header: dict[str, Any] = {
+        "v": VERSION,
+        "type": "csi",
+        "array": block.array,
+        "seq": block.seq,
+        "shape": list(block.csi.shape),
+        "dtype": "<c8",
+        "ue": _raw(block.ue, "<u8"),
+        "time_ns": _raw(block.time_ns, "<i8"),
+    }
+    if block.position is not None:
+        header["position"] = _raw(block.position, "<f4")
+    return header
+
+
+def _csi_bytes(block: CsiBlock) -> memoryview:
+    return np.ascontiguousarray(block.csi, "<c8").data.cast("B")
+
+
+def _csi_block(header: Mapping[str, Any], raw: Buffer) -> CsiBlock:
+    array = _field(header, "array", str)
+    if not 0 < len(array) <= MAX_NAME:
+        raise WireError("field", f"array must have 1 to {MAX_NAME} characters, not {len(array)}")
+    seq = _field(header, "seq", int)
+    shape = _field(header, "shape", list)
+    if len(shape) != 3 or not all(type(n) is int and n > 0 for n in shape):
+        raise WireError(
+            "shape", f"shape must be [frames, antennas, subcarriers], all positive, not {shape}"[:200]
+        )
+    frames = shape[0]
+    csi = _samples(header, raw, shape)
+    position = None
+    if "position" in header:
+        position = _column(header, "position", "<f4", frames * 3).reshape(frames, 3)
+    return CsiBlock(
+        array,
+        seq,
+        _column(header, "ue", "<u8", frames),
+        _column(header, "time_ns", "<i8", frames),
+        csi,
+        position,
+    )
+
+
 def _raw(values: NDArray[Any], dtype: str) -> bytes:
     return np.ascontiguousarray(values, dtype).tobytes()
 
 
-def _unpack(body: Buffer, kind: str) -> dict[str, Any]:
-    if len(body) > MAX_HEADER_BYTES:
-        raise WireError("size", f"{len(body)} bytes of msgpack, at most {MAX_HEADER_BYTES} are read")
+def _unpack(body: Buffer, kind: str, limit: int = MAX_HEADER_BYTES) -> dict[str, Any]:
+    if memoryview(body).nbytes > limit:
+        raise WireError("size", f"{memoryview(body).nbytes} bytes of msgpack, at most {limit} are read")
     try:
         message = msgpack.unpackb(body)
     except (ValueError, TypeError, RecursionError, msgpack.exceptions.UnpackException) as error:

@@ -1,0 +1,348 @@
+"""CSI in MCAP files: what the recorder and `chachart import` write, and what a recording source reads.
+
+The layout, for whoever reads such a file with another tool:
+
+- A Metadata record `chachart.csi` stands at the start, so that it survives a kill: `format` ("1"), `array`
+  (JSON, the fields of `ArrayGeometry`) and `note` (JSON, whatever the writer had to say: a calibration, say).
+- Chunks of 256 KiB without compression; CSI is noise to a compressor. Each goes to the operating system when
+  it is full: a writer that is killed loses its last chunk and nothing else.
+- One channel `csi`, one message a block: a msgpack map with the fields of a protocol 1 CSI header and the
+  samples themselves as `csi` (raw little-endian, antennas by subcarriers, frame after frame). `log_time` is
+  the time of the block's earliest frame, `publish_time` that of its latest.
+- On closing, a Metadata record `chachart.totals`: `frames`, `ues`, `start_ns`, `end_ns`, `span_ns` (the
+  longest time that one message covers), then MCAP's own summary with the time of every chunk.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from types import NoneType, TracebackType
+from typing import Any, Self
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from chachart.node.counters import Counters
+from chachart.node.csi import CsiBlock
+from chachart.node.errors import SetupError
+from chachart.node.geometry import ArrayGeometry
+from chachart.node.mcap_chunks import ChunkSpan, DamagedChunk, FileIndex, read_index, read_messages
+from chachart.node.wire import WireError, decode_csi_map, encode_csi_map
+
+FORMAT = "1"
+MESSAGE_FRAMES = 64
+MESSAGE_BYTES = 4 * 1024 * 1024
+
+_HEAD = "chachart.csi"
+_TOTALS = "chachart.totals"
+_SCHEMA = b"""A msgpack map: v (1), type ("csi"), array (str), seq (int, number of the first frame),
+shape ([frames, antennas, subcarriers]), dtype ("<c8"), ue (bin, <u8 a frame), time_ns (bin, <i8 a frame),
+position (bin, three <f4 a frame, metres; may be absent), csi (bin, the samples in the order of shape).
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class _Totals:
+    """The values of the record `chachart.totals`."""
+
+    frames: int
+    ues: int
+    start_ns: int | None
+    end_ns: int | None
+    span_ns: int
+
+    @classmethod
+    def parse(cls, values: Mapping[str, str]) -> Self | None:
+        """None where the values are not what a writer of ours puts there: the file is then counted anew."""
+        try:
+            numbers = {f.name: json.loads(values[f.name]) for f in fields(cls)}
+        except (KeyError, ValueError):
+            return None
+        times = (numbers["start_ns"], numbers["end_ns"])
+        counts = (numbers["frames"], numbers["ues"], numbers["span_ns"])
+        if any(type(n) is not int for n in counts) or any(type(t) not in (int, NoneType) for t in times):
+            return None
+        return cls(**numbers)
+
+
+@dataclass(slots=True)
+class _Account:
+    """Running account of the frames of a recording."""
+
+    frames: int = 0
+    start_ns: int | None = None
+    end_ns: int | None = None
+    span_ns: int = 0
+    ues: set[int] = field(default_factory=set)
+
+    def add(self, block: CsiBlock) -> tuple[int, int]:
+        """Count a block; its earliest and latest time."""
+        first, last = int(block.time_ns.min()), int(block.time_ns.max())
+        self.frames += len(block)
+        self.start_ns = first if self.start_ns is None else min(first, self.start_ns)
+        self.end_ns = last if self.end_ns is None else max(last, self.end_ns)
+        self.span_ns = max(self.span_ns, last - first)
+        self.ues.update(np.unique(block.ue).tolist())
+        return first, last
+
+    def totals(self) -> _Totals:
+        """The account so far."""
+        return _Totals(self.frames, len(self.ues), self.start_ns, self.end_ns, self.span_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingSummary:
+    """What a recording holds.
+
+    `start_ns` and `end_ns` are the times of its earliest and latest frame, None in an empty recording;
+    `closed_properly` is False where the writer was killed (or still writes); `damaged` counts chunks and
+    messages that were unreadable, by reason, as far as the file was read for this summary; `size` in bytes.
+    """
+
+    array: ArrayGeometry
+    note: Mapping[str, Any]
+    frames: int
+    ues: int
+    start_ns: int | None
+    end_ns: int | None
+    closed_properly: bool
+    damaged: Mapping[str, int]
+    size: int
+
+    @property
+    def seconds(self) -> float:
+        """Time from the earliest frame to the latest, in seconds."""
+        return 0.0 if self.start_ns is None or self.end_ns is None else (self.end_ns - self.start_ns) / 1e9
+
+
+class RecordingWriter:
+    """Writes the CSI of one array to a new file.
+
+    Parameters
+    ----------
+    path
+        The file; it must not exist yet.
+    array
+        The array that measured the CSI; kept in the file, so that the recording alone is enough to replay.
+    note
+        Anything else worth keeping, plain JSON values.
+    chunk_bytes
+        A chunk goes to the operating system when it holds so much.
+
+    Raises
+    ------
+    SetupError
+        If the file exists already or cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        array: ArrayGeometry,
+        *,
+        note: Mapping[str, Any] | None = None,
+        chunk_bytes: int = 256 * 1024,
+    ) -> None:
+        self.path = Path(path)
+        self.array = array
+        self._account = _Account()
+        try:
+            self._file = self.path.open("xb")
+        except FileExistsError:
+            raise SetupError(f"{path} exists already; recordings are never overwritten") from None
+        except OSError as error:
+            raise SetupError(f"cannot write {path}: {error.strerror}") from None
+        self._writer = Writer(self._file, chunk_size=chunk_bytes, compression=CompressionType.NONE)
+        try:
+            self._writer.start(profile="chachart")
+            head = {"format": FORMAT, "array": json.dumps(array.as_dict()), "note": json.dumps(note or {})}
+            self._writer.add_metadata(_HEAD, head)
+            schema = self._writer.register_schema("chachart.csi", "text/plain", _SCHEMA)
+            self._channel = self._writer.register_channel("csi", "msgpack", schema)
+            self._file.flush()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def write(self, block: CsiBlock) -> None:
+        """Append a block; a long one becomes several messages.
+
+        Raises
+        ------
+        ValueError
+            If the block does not have the array's antennas and subcarriers.
+        OSError
+            If the disk takes no more.
+        """
+        if (block.antennas, block.subcarriers) != (self.array.antennas, self.array.subcarriers):
+            raise ValueError(
+                f"a recording of {self.array.antennas} x {self.array.subcarriers} takes no frames of "
+                f"{block.antennas} x {block.subcarriers}"
+            )
+        frame_bytes = block.csi[0].nbytes
+        step = max(1, min(MESSAGE_FRAMES, MESSAGE_BYTES // frame_bytes))
+        for start in range(0, len(block), step):
+            piece = block if len(block) <= step else _frames(block, slice(start, start + step))
+            first, last = self._account.add(piece)
+            # MCAP's times are unsigned; the frames keep their own.
+            self._writer.add_message(self._channel, max(first, 0), encode_csi_map(piece), max(last, 0))
+            self._file.flush()
+
+    def flush(self) -> None:
+        """Hand what there is to the operating system as a chunk of its own, however short."""
+        self._writer.flush()
+
+    @property
+    def frames(self) -> int:
+        """Frames written so far."""
+        return self._account.frames
+
+    @property
+    def bytes_written(self) -> int:
+        """Size of the file so far; the chunk in progress does not count yet."""
+        return self._file.tell()
+
+    def close(self) -> None:
+        """Write the totals and the index, and close the file. May be called twice."""
+        if self._file.closed:
+            return
+        totals = asdict(self._account.totals())
+        with self._file:
+            self._writer.flush()
+            self._writer.add_metadata(_TOTALS, {name: json.dumps(value) for name, value in totals.items()})
+            self._writer.finish()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class RecordingReader:
+    """Reads a recording, closed properly or cut off anywhere.
+
+    No file stays open between calls. What is damaged is left out and counted in `damaged`, by reason.
+
+    Raises
+    ------
+    SetupError
+        If there is no such file, or it is no recording of CSI.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self.damaged = Counters()
+        self._index: FileIndex = read_index(self.path)
+        self._totals = _Totals.parse(self._index.metadata.get(_TOTALS, {}))
+        self.array, self.note = self._head()
+
+    def _head(self) -> tuple[ArrayGeometry, dict[str, Any]]:
+        head = self._index.metadata.get(_HEAD)
+        if head is None:
+            what = "holds no CSI" if self._index.closed else "was cut off before its description of the array"
+            raise SetupError(f"{self.path} is an MCAP file, but {what}; a recording of chachart is needed")
+        if head.get("format") != FORMAT:
+            raise SetupError(f"{self.path} has recording format {head.get('format')}; this is for {FORMAT}")
+        try:
+            array, note = json.loads(head["array"]), json.loads(head["note"])
+            return ArrayGeometry.from_dict(array), dict(note)
+        except (KeyError, ValueError, TypeError) as error:
+            raise SetupError(f"{self.path} does not describe its array: {error}") from None
+
+    @property
+    def closed_properly(self) -> bool:
+        """False where the writer was killed (or still writes)."""
+        return self._index.closed
+
+    @property
+    def start_ns(self) -> int | None:
+        """Time of the earliest frame, None in an empty recording; needs no reading of frames."""
+        if self._totals is not None:
+            return self._totals.start_ns
+        return min((chunk.start_ns for chunk in self._index.chunks), default=None)
+
+    def summary(self) -> RecordingSummary:
+        """What the recording holds; a file without totals is read through, once."""
+        if self._totals is None:
+            self._totals = self._count()
+        return RecordingSummary(
+            array=self.array,
+            note=self.note,
+            frames=self._totals.frames,
+            ues=self._totals.ues,
+            start_ns=self._totals.start_ns,
+            end_ns=self._totals.end_ns,
+            closed_properly=self.closed_properly,
+            damaged=self.damaged.as_dict(),
+            size=self.path.stat().st_size,
+        )
+
+    def blocks(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[CsiBlock]:
+        """The blocks in the order of the file, cut to frames of `start_ns <= time_ns < end_ns`.
+
+        The arrays of a block are read-only.
+        """
+        with self.path.open("rb") as file:
+            for chunk in self._chunks(start_ns, end_ns):
+                try:
+                    for message in read_messages(file, chunk):
+                        if start_ns is not None and message.publish_ns < start_ns:
+                            continue
+                        if end_ns is not None and message.log_ns >= max(end_ns, 1):
+                            continue
+                        block = self._block(message.data)
+                        block = None if block is None else _between(block, start_ns, end_ns)
+                        if block is not None:
+                            yield block
+                except DamagedChunk as error:
+                    self.damaged.add(error.reason)
+
+    def _chunks(self, start_ns: int | None, end_ns: int | None) -> Iterator[ChunkSpan]:
+        """The chunks that can hold frames of this time; without totals, a message may last any time."""
+        totals = self._totals
+        for chunk in self._index.chunks:
+            if start_ns is not None and totals is not None and chunk.end_ns + totals.span_ns < start_ns:
+                continue
+            if end_ns is None or chunk.start_ns < max(end_ns, 1):
+                yield chunk
+
+    def _block(self, data: memoryview) -> CsiBlock | None:
+        try:
+            block = decode_csi_map(data)
+        except WireError as error:
+            self.damaged.add(error.reason)
+            return None
+        if (block.antennas, block.subcarriers) != (self.array.antennas, self.array.subcarriers):
+            self.damaged.add("shape")
+            return None
+        return block
+
+    def _count(self) -> _Totals:
+        account = _Account()
+        for block in self.blocks():
+            account.add(block)
+        return account.totals()
+
+
+def _frames(block: CsiBlock, rows: slice) -> CsiBlock:
+    position = None if block.position is None else block.position[rows]
+    seq = block.seq + rows.start
+    return CsiBlock(block.array, seq, block.ue[rows], block.time_ns[rows], block.csi[rows], position)
+
+
+def _between(block: CsiBlock, start_ns: int | None, end_ns: int | None) -> CsiBlock | None:
+    """The frames of a block in a range of time; the block itself where that is all of them."""
+    keep = np.ones(len(block), bool)
+    if start_ns is not None:
+        keep &= block.time_ns >= start_ns
+    if end_ns is not None:
+        keep &= block.time_ns < end_ns
+    if keep.all():
+        return block
+    return block.take(keep) if keep.any() else None

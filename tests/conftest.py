@@ -1,0 +1,61 @@
+"""Fixtures of all tests: a test that leaves sockets, threads or processes behind fails."""
+
+from __future__ import annotations
+
+import gc
+import os
+import threading
+import time
+from collections.abc import Iterator
+from multiprocessing import resource_tracker
+from pathlib import Path
+
+import pytest
+
+GRACE_S = 5.0
+_TIMER = threading.Event()
+
+
+@pytest.fixture(autouse=True)
+def _nothing_leaks() -> Iterator[None]:
+    before = _held()
+    yield
+    deadline = time.monotonic() + GRACE_S
+    while (left := _held() - before) and time.monotonic() < deadline:
+        gc.collect()
+        _TIMER.wait(0.02)
+    assert not left, f"left behind: {', '.join(sorted(left))}"
+
+
+def _held() -> set[str]:
+    """What this process holds that a test must give back."""
+    return _sockets() | _threads() | _children()
+
+
+def _threads() -> set[str]:
+    return {f"thread {thread.name} ({thread.ident})" for thread in threading.enumerate()}
+
+
+def _sockets() -> set[str]:
+    found = set()
+    for entry in Path("/proc/self/fd").iterdir():
+        try:
+            target = os.readlink(entry)
+        except FileNotFoundError:  # the listing's own descriptor is gone already
+            continue
+        if target.startswith(("socket:", "/dev/pt")):
+            found.add(f"descriptor {target}")
+    return found
+
+
+def _children() -> set[str]:
+    """Child processes, but for the one that the standard library keeps for spawned processes' semaphores."""
+    tracker = getattr(resource_tracker._resource_tracker, "_pid", None)
+    found = set()
+    for task in Path("/proc/self/task").iterdir():
+        try:
+            pids = (task / "children").read_text().split()
+        except (FileNotFoundError, ProcessLookupError):  # the thread ended meanwhile
+            continue
+        found.update(f"process {pid}" for pid in pids if int(pid) != tracker)
+    return found

@@ -1,0 +1,291 @@
+"""Recordings: what is written is read, whatever happened to the writer or to the file."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from csi_samples import START_NS, assert_same_frames, small_array, some_block
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.records import ChunkIndex
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+
+from chachart.node.csi import CsiBlock
+from chachart.node.errors import SetupError
+from chachart.node.recording import RecordingReader, RecordingWriter
+
+MS = 1_000_000
+one_folder = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def record(path: Path, blocks: list[CsiBlock], chunk_bytes: int = 2048) -> Path:
+    with RecordingWriter(path, small_array(), note={"who": "test"}, chunk_bytes=chunk_bytes) as writer:
+        for block in blocks:
+            writer.write(block)
+    return path
+
+
+def run_of_blocks(n: int, frames: int = 5) -> list[CsiBlock]:
+    return [
+        some_block(frames, seq=i * frames, start_ns=START_NS + i * frames * MS, step_ns=MS) for i in range(n)
+    ]
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A closed recording: its bytes, its blocks, where its head and each chunk end, and blocks a chunk."""
+
+    content: bytes
+    blocks: list[CsiBlock]
+    head_end: int
+    chunk_ends: list[int]
+    blocks_per_chunk: int
+
+    def complete_at(self, cut: int) -> int:
+        """Blocks in chunks that end before byte `cut`."""
+        chunks = sum(end <= cut for end in self.chunk_ends)
+        return min(chunks * self.blocks_per_chunk, len(self.blocks))
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    blocks = run_of_blocks(40)
+    content = record(tmp_path_factory.mktemp("recorded") / "whole.mcap", blocks).read_bytes()
+    chunks = [r for r in StreamReader(io.BytesIO(content)).records if isinstance(r, ChunkIndex)]
+    ends = [c.chunk_start_offset + c.chunk_length for c in chunks]
+    return Recorded(content, blocks, chunks[0].chunk_start_offset, ends, -(-len(blocks) // len(chunks)))
+
+
+@pytest.mark.parametrize("position", [True, False])
+def test_what_is_written_is_read(tmp_path: Path, position: bool) -> None:
+    blocks = [some_block(n, seq=n, seed=n, position=position) for n in (1, 64, 3)]
+    reader = RecordingReader(record(tmp_path / "a.mcap", blocks))
+    read = list(reader.blocks())
+    assert [b.seq for b in read] == [1, 64, 3]
+    assert_same_frames(read, blocks)
+    assert reader.array == small_array()
+    summary = reader.summary()
+    assert summary.note == {"who": "test"}
+    assert summary.frames == 68
+    assert summary.ues == len(np.unique(np.concatenate([b.ue for b in blocks])))
+    assert (summary.start_ns, summary.end_ns) == (START_NS, START_NS + 63 * MS)
+    assert summary.seconds == pytest.approx(0.063)
+    assert summary.closed_properly
+    assert not summary.damaged
+
+
+def test_the_whole_geometry_survives(tmp_path: Path) -> None:
+    array = small_array(
+        position_m=(1.0, 2.0, 3.0), axis=(1.0, 0.0, 0.0), broadside=(0.0, 1.0, 0.0), height_m=8.5
+    )
+    RecordingWriter(tmp_path / "a.mcap", array).close()
+    reader = RecordingReader(tmp_path / "a.mcap")
+    assert reader.array == array
+    assert reader.summary().frames == 0
+    assert reader.summary().start_ns is None
+    assert list(reader.blocks()) == []
+
+
+def test_a_long_block_becomes_several_messages(tmp_path: Path) -> None:
+    block = some_block(1000, seq=7)
+    read = list(RecordingReader(record(tmp_path / "a.mcap", [block])).blocks())
+    assert [b.seq for b in read] == list(range(7, 1007, 64))
+    assert_same_frames(read, block)
+
+
+def test_mcap_tools_read_it(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", run_of_blocks(10))
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert len(list(reader.iter_messages(topics="csi"))) == 10
+        assert {m.name for m in reader.iter_metadata()} == {"chachart.csi", "chachart.totals"}
+
+
+@one_folder
+@given(data=st.data())
+def test_a_recording_cut_anywhere_has_all_but_its_last_chunk(
+    tmp_path: Path, recorded: Recorded, data: st.DataObject
+) -> None:
+    cut = data.draw(st.integers(0, len(recorded.content) - 1))
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(recorded.content[:cut])
+    if cut < recorded.head_end:
+        with pytest.raises(SetupError):
+            RecordingReader(path)
+        return
+    reader = RecordingReader(path)
+    read = list(reader.blocks())
+    assert not reader.closed_properly
+    assert reader.damaged.total() == 0
+    assert len(read) == recorded.complete_at(cut)
+    if read:
+        assert_same_frames(read, recorded.blocks[: len(read)])
+
+
+def test_a_killed_writer_loses_its_last_chunk_only(tmp_path: Path) -> None:
+    """A real process, killed between two writes."""
+    path = tmp_path / "killed.mcap"
+    code = (
+        "import os, signal\n"
+        "from csi_samples import small_array, some_block\n"
+        "from chachart.node.recording import RecordingWriter\n"
+        f"w = RecordingWriter({str(path)!r}, small_array(), note={{'calibrated': True}}, chunk_bytes=2048)\n"
+        "for i in range(50):\n"
+        "    w.write(some_block(5, seq=5 * i))\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    ended = subprocess.run([sys.executable, "-c", code], env=environment, check=False)
+    assert ended.returncode == -signal.SIGKILL
+    reader = RecordingReader(path)
+    read = list(reader.blocks())
+    assert_same_frames(read, [some_block(5, seq=5 * i) for i in range(len(read))])
+    assert 50 - len(read) <= 4  # 2048 bytes are at most four blocks
+    summary = reader.summary()
+    assert not summary.closed_properly
+    assert summary.frames == 5 * len(read)
+    assert summary.note == {"calibrated": True}
+
+
+def test_it_can_be_read_while_it_is_written(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "a.mcap", small_array()) as writer:
+        writer.write(some_block(5))
+        assert RecordingReader(tmp_path / "a.mcap").summary().frames == 0
+        writer.flush()
+        summary = RecordingReader(tmp_path / "a.mcap").summary()
+        assert (summary.frames, summary.closed_properly) == (5, False)
+
+
+@one_folder
+@given(data=st.data())
+def test_a_damaged_byte_is_noticed(tmp_path: Path, recorded: Recorded, data: st.DataObject) -> None:
+    """Whatever byte is flipped: every frame that is read is one that was written, and a loss is told."""
+    damaged = bytearray(recorded.content)
+    damaged[data.draw(st.integers(0, len(damaged) - 1))] ^= data.draw(st.integers(1, 255))
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(damaged)
+    try:
+        reader = RecordingReader(path)
+        read = list(reader.blocks())
+    except SetupError:
+        return
+    written = {b.csi.tobytes() for b in recorded.blocks}
+    assert all(b.csi.tobytes() in written for b in read)
+    if len(read) < len(recorded.blocks):
+        assert reader.damaged.total() > 0 or not reader.closed_properly
+        assert len(read) >= len(recorded.blocks) - recorded.blocks_per_chunk or not reader.closed_properly
+
+
+@one_folder
+@given(tail=st.binary(max_size=600), head=st.integers(0, 3000))
+def test_any_bytes_are_a_recording_or_a_setup_error(
+    tmp_path: Path, recorded: Recorded, head: int, tail: bytes
+) -> None:
+    path = tmp_path / "any.mcap"
+    path.write_bytes(recorded.content[:head] + tail)
+    try:
+        reader = RecordingReader(path)
+    except SetupError:
+        return
+    assert all(block.antennas == 4 for block in reader.blocks())
+
+
+@one_folder
+@given(start=st.integers(-20, 250), length=st.integers(0, 250), closed=st.booleans())
+def test_seek_by_time_gives_exactly_those_frames(
+    tmp_path: Path, recorded: Recorded, start: int, length: int, closed: bool
+) -> None:
+    path = tmp_path / "seek.mcap"
+    path.write_bytes(recorded.content if closed else recorded.content[:-10])
+    first, last = START_NS + start * MS, START_NS + (start + length) * MS
+    everything = CsiBlock.concatenate(recorded.blocks)
+    keep = (everything.time_ns >= first) & (everything.time_ns < last)
+    read = list(RecordingReader(path).blocks(first, last))
+    if keep.any():
+        assert_same_frames(read, everything.take(keep))
+    else:
+        assert read == []
+
+
+def test_times_need_not_be_in_order_nor_after_1970(tmp_path: Path) -> None:
+    late, early = some_block(5, start_ns=5 * MS), some_block(5, seq=5, start_ns=-10 * MS)
+    reader = RecordingReader(record(tmp_path / "a.mcap", [late, early], chunk_bytes=16))
+    assert_same_frames(list(reader.blocks()), [late, early])
+    assert reader.start_ns == -10 * MS
+    assert_same_frames(list(reader.blocks(end_ns=0)), early)
+    assert_same_frames(list(reader.blocks(start_ns=0)), late)
+
+
+def test_other_frames_are_refused(tmp_path: Path) -> None:
+    with (
+        RecordingWriter(tmp_path / "a.mcap", small_array()) as writer,
+        pytest.raises(ValueError, match="4 x 3 takes no frames of 8 x 3"),
+    ):
+        writer.write(some_block(antennas=8))
+
+
+def test_a_recording_is_never_overwritten(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", run_of_blocks(1))
+    before = path.read_bytes()
+    with pytest.raises(SetupError, match="exists already"):
+        RecordingWriter(path, small_array())
+    assert path.read_bytes() == before
+
+
+def test_a_folder_that_is_not_there_is_told(tmp_path: Path) -> None:
+    with pytest.raises(SetupError, match=r"a\.mcap: No such file or directory"):
+        RecordingWriter(tmp_path / "nowhere" / "a.mcap", small_array())
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "is empty"),
+        (b"PK\x03\x04aaaaaaaa", "npz"),
+        (b"MATLAB 5.0 MAT-file", "MATLAB"),
+        (b"\x89HDF\r\n\x1a\n", "HDF5"),
+        (b"hello, world", "begins with"),
+        (b"\x89MCAP0\r\n", "cut off before its description"),
+    ],
+)
+def test_a_foreign_file_is_told(tmp_path: Path, content: bytes, says: str) -> None:
+    (tmp_path / "a.mcap").write_bytes(content)
+    with pytest.raises(SetupError, match=says):
+        RecordingReader(tmp_path / "a.mcap")
+
+
+def test_a_missing_file_is_told(tmp_path: Path) -> None:
+    with pytest.raises(SetupError, match=r"nowhere\.mcap: No such file"):
+        RecordingReader(tmp_path / "nowhere.mcap")
+    with pytest.raises(SetupError, match="directory"):
+        RecordingReader(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"compression": CompressionType.ZSTD}, "compressed with zstd"),
+        ({"use_chunking": False, "use_statistics": False}, "holds no CSI"),
+        ({"compression": CompressionType.NONE}, "holds no CSI"),
+    ],
+)
+def test_other_mcap_files_are_told(tmp_path: Path, options: dict[str, object], says: str) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, **options)
+        writer.start()
+        channel = writer.register_channel("chat", "json", 0)
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    with pytest.raises(SetupError, match=says):
+        RecordingReader(path)
