@@ -1,0 +1,1 @@
+"""Array front-ends behind a serial line or a CAN bus: one packet (PACKET.md), two links."""
