@@ -1,0 +1,50 @@
+"""What every command shares: how mistakes are told, and progress on a terminal."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from chachart.node.errors import EX_CONFIG, SetupError
+
+EX_INTERRUPTED = 130
+EX_BROKEN_PIPE = 141
+
+
+def guarded(program: str, run: Callable[[], int]) -> int:
+    """The exit status of `run`, with what a user can cause told in one line each instead of a traceback.
+
+    A `SetupError` goes to stderr and gives `EX_CONFIG`; Ctrl-C and a reader that has gone away end quietly
+    with the status that a shell gives them.
+    """
+    try:
+        status = run()
+        sys.stdout.flush()
+    except SetupError as error:
+        for line in str(error).splitlines():
+            print(f"{program}: {line}", file=sys.stderr)
+        return EX_CONFIG
+    except KeyboardInterrupt:
+        return EX_INTERRUPTED
+    except BrokenPipeError:
+        # The interpreter flushes stdout once more on its way out; give it somewhere to go.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EX_BROKEN_PIPE
+    return status
+
+
+@contextmanager
+def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """A function to tell of each so many steps done; draws a bar where stderr is a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda steps: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda steps: bar.advance(task, steps)

@@ -1,0 +1,48 @@
+"""`chachart`: the tools around a node, one module a command, imported when called."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from difflib import get_close_matches
+from importlib import import_module
+
+from chachart.node.commands.cli import guarded
+
+COMMANDS = {
+    "config": "print a commented sample configuration",
+    "import": "turn a capture of another tool into a recording",
+}
+"""Each command and what it does. Its module here, `<name>.py` or `<name>_.py` for a word that Python has
+taken, has `add_arguments(parser)` and `run(arguments) -> exit status`."""
+
+_TAKEN = {"import"}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run `chachart` with `argv` (the command line if None) and return its exit status."""
+    argv = sys.argv[1:] if argv is None else argv
+    parser = argparse.ArgumentParser(
+        prog="chachart", description="Tools for channel charting. The node itself is chachart-node."
+    )
+    subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
+    called = next((word for word in argv if not word.startswith("-")), None)
+    if called is not None and called not in COMMANDS:
+        close = get_close_matches(called, COMMANDS, n=1)
+        hint = f'; did you mean "{close[0]}"?' if close else ""
+        parser.error(f'there is no command "{called}", only {", ".join(COMMANDS)}{hint}')
+    for name, purpose in COMMANDS.items():
+        subparser = subparsers.add_parser(name, help=purpose)
+        if name == called:
+            module = import_module(f"chachart.node.commands.{name}{'_' if name in _TAKEN else ''}")
+            subparser.description = module.__doc__
+            subparser.formatter_class = argparse.RawDescriptionHelpFormatter
+            module.add_arguments(subparser)
+            subparser.set_defaults(run=module.run)
+    arguments = parser.parse_args(argv)
+    return guarded(f"chachart {called}", lambda: arguments.run(arguments))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
