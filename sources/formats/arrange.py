@@ -1,0 +1,144 @@
+"""Variables of a capture, whatever their order of axes, as frames that the node can take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+AXES = ("ue", "antenna", "subcarrier", "iq")
+"""What an axis of CSI can be; `iq` has length 2 and holds real and imaginary part."""
+
+_ORDER = ("ue", "antenna", "subcarrier")
+
+
+def frames(csi: NDArray[Any], axes: Sequence[str]) -> NDArray[np.complex64]:
+    """CSI whose axes are named, as complex64 (frames, antennas, subcarriers).
+
+    A missing axis means one: one UE, one antenna, one subcarrier. Trailing axes that `axes` names beyond
+    those of `csi` mean one too, since MATLAB drops them.
+
+    Raises
+    ------
+    ValueError
+        If names and shape do not go together, or the values are not complex numbers.
+    """
+    if unknown := [name for name in axes if name not in AXES]:
+        raise ValueError(f'axes are {", ".join(AXES)}, there is no "{unknown[0]}"')
+    if len(set(axes)) != len(axes):
+        raise ValueError(f"each axis may be named once, not {','.join(axes)}")
+    if csi.ndim > len(axes):
+        raise ValueError(f"{csi.ndim} axes of lengths {csi.shape} need as many names, not {','.join(axes)}")
+    csi = csi.reshape(csi.shape + (1,) * (len(axes) - csi.ndim))
+    names = list(axes)
+    if "iq" in names:
+        csi = _complex(np.moveaxis(csi, names.index("iq"), -1))
+        names.remove("iq")
+    elif csi.dtype.kind != "c":
+        raise ValueError(f"complex values are needed, not {csi.dtype} (or an axis iq of length 2)")
+    if 0 in csi.shape:
+        raise ValueError(f"there is nothing in it, its shape is {csi.shape}")
+    present = [name for name in _ORDER if name in names]
+    ordered = np.transpose(csi, [names.index(name) for name in present])
+    lengths = dict(zip(present, ordered.shape, strict=True))
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(ordered, np.complex64).reshape([lengths.get(n, 1) for n in _ORDER])
+
+
+def defects(csi: NDArray[np.complex64]) -> NDArray[np.str_]:
+    """What is wrong with each frame of (frames, antennas, subcarriers), empty where nothing is."""
+    flat = csi.reshape(len(csi), -1)
+    found = np.full(len(csi), "", "U16")
+    if flat.shape[1] > 1:
+        found[(flat == flat[:, :1]).all(axis=1)] = "is constant"
+    found[~flat.any(axis=1)] = "is all zero"
+    found[~np.isfinite(flat).all(axis=1)] = "is not finite"
+    return found
+
+
+def positions(values: NDArray[Any], count: int, z_m: float) -> NDArray[np.float32]:
+    """Reference positions as float32 (count, 3) in metres; `z_m` completes those that have x and y only.
+
+    Raises
+    ------
+    ValueError
+        If the shape fits neither (count, 2 or 3) nor its transpose, or a value is infinite.
+    """
+    if values.ndim == 2 and values.shape[0] in (2, 3) and values.shape[1] == count != values.shape[0]:
+        values = values.T
+    if values.shape not in ((count, 2), (count, 3)) or values.dtype.kind not in "fiu":
+        raise ValueError(f"must be numbers of shape ({count}, 3), not {values.dtype} {values.shape}")
+    if np.isinf(values).any():
+        raise ValueError("must be finite, or NaN where unknown")
+    full = np.full((count, 3), z_m, np.float32)
+    full[:, : values.shape[1]] = values
+    return full
+
+
+def column(values: NDArray[Any], count: int) -> NDArray[Any]:
+    """One value a frame, as (count,).
+
+    Raises
+    ------
+    ValueError
+        If there are not so many.
+    """
+    if values.size != count or max(values.shape, default=1) != count:
+        raise ValueError(f"must have one value for each of {count} frames, not shape {values.shape}")
+    flat: NDArray[Any] = values.reshape(count)
+    return flat
+
+
+def identities(values: NDArray[Any]) -> NDArray[np.uint64]:
+    """UE numbers as uint64.
+
+    Raises
+    ------
+    ValueError
+        If they are not whole numbers from 0 on.
+    """
+    whole = values.dtype.kind in "iu" or (
+        values.dtype.kind == "f" and bool((values == np.floor(values)).all())
+    )
+    if not whole or (values < 0).any():
+        raise ValueError(f"must be whole numbers from 0 on, not {values.dtype} such as {values[0]}")
+    return values.astype(np.uint64)
+
+
+def occurrence(ue: NDArray[np.uint64]) -> NDArray[np.int64]:
+    """For each frame, how many frames of the same UE came before it.
+
+    >>> occurrence(np.array([7, 7, 3, 7], np.uint64)).tolist()
+    [0, 1, 0, 2]
+    """
+    order = np.argsort(ue, kind="stable")
+    _, first, counts = np.unique(ue[order], return_index=True, return_counts=True)
+    ranks = np.empty(len(ue), np.int64)
+    ranks[order] = np.arange(len(ue)) - np.repeat(first, counts)
+    return ranks
+
+
+def times_ns(values: NDArray[Any]) -> NDArray[np.int64]:
+    """Times as int64 nanoseconds: whole numbers are nanoseconds, others seconds.
+
+    Raises
+    ------
+    ValueError
+        If they are not finite numbers.
+    """
+    if values.dtype.kind in "iu":
+        return values.astype(np.int64)
+    if values.dtype.kind != "f" or not np.isfinite(values).all() or np.abs(values).max() > 9e9:
+        raise ValueError(f"must be nanoseconds (whole numbers) or seconds, not {values.dtype} {values[0]}")
+    seconds = np.floor(values)
+    times: NDArray[np.int64] = seconds.astype(np.int64) * 1_000_000_000
+    times += np.rint((values - seconds) * 1e9).astype(np.int64)
+    return times
+
+
+def _complex(pairs: NDArray[Any]) -> NDArray[Any]:
+    if pairs.shape[-1] != 2 or pairs.dtype.kind not in "fiu":
+        raise ValueError(f"axis iq must hold 2 real numbers, not {pairs.shape[-1]} of {pairs.dtype}")
+    return pairs[..., 0] + 1j * pairs[..., 1]

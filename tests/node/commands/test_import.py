@@ -1,0 +1,157 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from chachart.node.commands.main import main
+from chachart.node.csi import CsiBlock
+from chachart.node.recording import RecordingReader
+
+CSI = 3e-6 * np.random.default_rng(1).standard_normal((100, 4, 8, 2)).view(np.complex128)[..., 0]
+POSITION = np.random.default_rng(2).uniform(0, 100, (100, 3))
+BASE = ["--csi", "H", "--carrier-hz", "2e9", "--subcarrier-spacing-hz", "15e3"]
+
+Run = Callable[..., tuple[int, str]]
+
+
+@pytest.fixture
+def run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Import variables, given by name, with some options; exit status and what was said."""
+
+    def run(*options: str, **variables: np.ndarray) -> tuple[int, str]:
+        source = tmp_path / "in.npz"
+        np.savez(source, **(variables or {"H": CSI, "xyz": POSITION}))
+        status = main(["import", str(source), str(tmp_path / "out.mcap"), *BASE, *options])
+        said = capsys.readouterr()
+        return status, said.out + said.err
+
+    return run
+
+
+def read(tmp_path: Path) -> CsiBlock:
+    return CsiBlock.concatenate(list(RecordingReader(tmp_path / "out.mcap").blocks()))
+
+
+def test_a_capture_becomes_a_recording_of_the_same_frames(run: Run, tmp_path: Path) -> None:
+    options = ["--position", "xyz", "--array-position", "1,2,3", "--array-axis=-x", "--height-m", "2"]
+    status, said = run(*options, "--array-name", "roof", "--element-spacing-m", "0.05", "--rate", "50")
+    assert (status, "100 frames of 100 UEs, 4 antennas x 8 subcarriers" in said) == (0, True)
+    array = RecordingReader(tmp_path / "out.mcap").array
+    assert (array.name, array.position_m, array.axis) == ("roof", (1.0, 2.0, 3.0), (-1.0, 0.0, 0.0))
+    assert (array.element_spacing_m, array.height_m, array.carrier_hz) == (0.05, 2.0, 2e9)
+    block = read(tmp_path)
+    np.testing.assert_array_equal(block.csi, CSI.astype(np.complex64))
+    np.testing.assert_array_equal(block.position, POSITION.astype(np.float32))
+    np.testing.assert_array_equal(block.ue, np.arange(100))
+    np.testing.assert_array_equal(block.time_ns, np.arange(100) * 20_000_000)
+
+
+def test_repeats_are_interleaved_and_as_noisy_as_asked(run: Run, tmp_path: Path) -> None:
+    status, _ = run("--repeat", "20", "--snr-db", "3", "--seed", "5")
+    block = read(tmp_path)
+    assert (status, len(block)) == (0, 2000)
+    np.testing.assert_array_equal(block.ue, np.tile(np.arange(100), 20))
+    clean = np.tile(CSI / np.sqrt(np.mean(np.abs(CSI) ** 2)), (20, 1, 1))
+    noise = block.csi - clean
+    assert np.mean(np.abs(noise) ** 2) == pytest.approx(10**-0.3, rel=0.02)
+    assert abs(np.mean(noise**2)) < 0.01, "circular"
+    assert np.abs(noise[:100] - noise[100:200]).min() > 0, "fresh noise each time"
+
+
+def test_the_same_seed_gives_the_same_noise(run: Run, tmp_path: Path) -> None:
+    written = []
+    for seed in ("1", "1", "2"):
+        assert run("--snr-db", "0", "--seed", seed, "--force")[0] == 0
+        written.append(read(tmp_path).csi)
+    assert (written[0] == written[1]).all()
+    assert (written[0] != written[2]).any()
+
+
+def test_who_and_when_from_variables(run: Run, tmp_path: Path) -> None:
+    ue = np.repeat([7, 9], 50)
+    time = np.linspace(2.0, 1.0, 100)
+    assert run("--ue", "who", "--time", "t", H=CSI, who=ue, t=time)[0] == 0
+    block = read(tmp_path)
+    np.testing.assert_array_equal(block.ue, ue[::-1])
+    assert (block.time_ns[0], block.time_ns[-1]) == (1_000_000_000, 2_000_000_000)
+    assert run("--ue", "who", "--force", H=CSI, who=ue)[0] == 0
+    np.testing.assert_array_equal(read(tmp_path).ue, np.tile([7, 9], 50))
+
+
+def bad_frame(value: complex, frame: int) -> np.ndarray:
+    csi = CSI.copy()
+    csi[frame] = value
+    return csi
+
+
+@pytest.mark.parametrize(
+    ("options", "variables", "words"),
+    [
+        (["--csi", "h"], {"H": CSI}, ['no variable "h"', "H: complex128 (100, 4, 8)"]),
+        (["--position", "p"], {"H": CSI}, ['no variable "p"']),
+        (["--position", "H"], {"H": CSI}, ["--position H: must be numbers of shape (100, 3)"]),
+        (["--axes", "ue,antenna"], {"H": CSI}, ["--csi H: 3 axes", "H: complex128 (100, 4, 8)"]),
+        (["--axes", "ue,antena,subcarrier"], {"H": CSI}, ['there is no "antena"']),
+        ([], {"H": CSI.real}, ["complex values are needed"]),
+        ([], {"H": bad_frame(0, 3)}, ['frame 3 of "H" is all zero', "--skip-bad"]),
+        ([], {"H": bad_frame(1 + 1j, 99)}, ['frame 99 of "H" is constant']),
+        ([], {"H": bad_frame(np.nan, 0)}, ['frame 0 of "H" is not finite']),
+        ([], {"H": CSI[:2] * 0}, ['frame 0 of "H" is all zero, as are 1 others']),
+        (["--skip-bad"], {"H": CSI * 0}, ["every frame"]),
+        (["--ue", "t"], {"H": CSI, "t": CSI[:, 0, 0].real}, ["--ue t: must be whole numbers"]),
+        (["--time", "t"], {"H": CSI, "t": np.zeros(3)}, ["--time t: must have one value for each of 100"]),
+        (["--time", "t", "--repeat", "2"], {"H": CSI, "t": np.zeros(100)}, ["exclude each other"]),
+        (["--carrier-hz", "-1"], {"H": CSI}, ["--carrier-hz -1.0: must be a number > 0"]),
+        (["--array-axis", "q"], {"H": CSI}, ["--array-axis q: must be", '"-z"']),
+        (["--array-axis", "y", "--array-broadside", "y"], {"H": CSI}, ["must be orthogonal"]),
+        (["--array-name", "a b"], {"H": CSI}, ["--array-name a b: must be text"]),
+        (["--rate", "0"], {"H": CSI}, ["--rate 0: must be a number > 0"]),
+        (["--snr-db", "nan"], {"H": CSI}, ["--snr-db nan: must be a number"]),
+    ],
+)
+def test_what_does_not_fit_is_told_and_nothing_is_left_behind(
+    run: Run, tmp_path: Path, options: list[str], variables: dict[str, np.ndarray], words: list[str]
+) -> None:
+    status, said = run(*options, **variables)
+    assert status == 78
+    for word in words:
+        assert word in said
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["in.npz"]
+
+
+def test_bad_frames_can_be_left_out(run: Run, tmp_path: Path) -> None:
+    status, said = run("--skip-bad", H=bad_frame(0, 3))
+    assert (status, "1 bad frames left out" in said) == (0, True)
+    assert 3 not in read(tmp_path).ue
+
+
+def test_a_recording_is_only_replaced_when_asked(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "out.mcap").write_text("precious")
+    status, said = run()
+    assert (status, "out.mcap exists already; --force" in said) == (78, True)
+    assert run("--csi", "wrong", "--force")[0] == 78
+    assert (tmp_path / "out.mcap").read_text() == "precious"
+    assert run("--force")[0] == 0
+    assert len(read(tmp_path)) == 100
+
+
+def test_one_subcarrier_needs_no_spacing(tmp_path: Path) -> None:
+    np.savez(tmp_path / "in.npz", H=CSI[:, :, 0])
+    arguments = ["import", str(tmp_path / "in.npz"), str(tmp_path / "out.mcap"), "--csi", "H"]
+    assert main([*arguments, "--carrier-hz", "2e9", "--axes", "ue,antenna"]) == 0
+    assert read(tmp_path).csi.shape == (100, 4, 1)
+
+
+def test_several_subcarriers_need_their_spacing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.savez(tmp_path / "in.npz", H=CSI)
+    arguments = ["import", str(tmp_path / "in.npz"), str(tmp_path / "out.mcap"), "--csi", "H"]
+    assert main([*arguments, "--carrier-hz", "2e9"]) == 78
+    assert "--subcarrier-spacing-hz is needed" in capsys.readouterr().err
+
+
+def test_a_folder_that_does_not_exist(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["import", "in.npz", str(tmp_path / "no" / "out.mcap"), *BASE]) == 78
+    assert "there is no such folder" in capsys.readouterr().err
