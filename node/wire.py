@@ -163,6 +163,8 @@ def _csi_block(header: Mapping[str, Any], raw: Buffer) -> CsiBlock:
     if not 0 < len(array) <= MAX_NAME:
         raise WireError("field", f"array must have 1 to {MAX_NAME} characters, not {len(array)}")
     seq = _field(header, "seq", int)
+    if not 0 <= seq < 2**63:
+        raise WireError("field", f"seq must be at least 0 and below 2**63, not {seq}")
     shape = _field(header, "shape", list)
     if len(shape) != 3 or not all(type(n) is int and n > 0 for n in shape):
         raise WireError(

@@ -1,0 +1,70 @@
+"""ZeroMQ endpoints of a configuration: `tcp://127.0.0.1:5556`, `ipc:///run/chart`."""
+
+from __future__ import annotations
+
+import socket as socketlib
+from pathlib import Path
+from typing import Annotated, Any
+
+import zmq
+from pydantic import Field
+
+from chachart.node.errors import SetupError
+
+Endpoint = Annotated[str, Field(pattern=r"^(tcp|ipc)://\S+$", max_length=256)]
+"""A setting that names an endpoint."""
+
+
+def bind(socket: zmq.Socket[Any], endpoint: str) -> str:
+    """Bind `socket`; the endpoint it really has (`tcp://127.0.0.1:0` gets a free port).
+
+    Raises
+    ------
+    SetupError
+        If the endpoint is in use or does not exist here.
+    """
+    if _ipc_in_use(endpoint):
+        raise SetupError(f"cannot listen on {endpoint}: Address already in use")
+    try:
+        socket.bind(endpoint)
+    except zmq.ZMQError as error:
+        raise SetupError(f"cannot listen on {endpoint}: {zmq.strerror(error.errno or 0)}") from None
+    return socket.getsockopt_string(zmq.LAST_ENDPOINT)
+
+
+def connect(socket: zmq.Socket[Any], endpoint: str) -> str:
+    """Connect `socket`, now or when somebody listens there; the endpoint.
+
+    Raises
+    ------
+    SetupError
+        If the endpoint makes no sense.
+    """
+    try:
+        socket.connect(endpoint)
+    except zmq.ZMQError as error:
+        raise SetupError(f"cannot connect to {endpoint}: {zmq.strerror(error.errno or 0)}") from None
+    return endpoint
+
+
+def bind_problems(endpoint: str) -> list[str]:
+    """What would keep a socket from listening on `endpoint` now."""
+    with zmq.Context() as context, context.socket(zmq.PULL) as socket:
+        try:
+            bind(socket, endpoint)
+        except SetupError as error:
+            return [str(error)]
+    return []
+
+
+def _ipc_in_use(endpoint: str) -> bool:
+    """Whether somebody listens on this `ipc://` path: ZeroMQ itself would take it away from them."""
+    path = endpoint.removeprefix("ipc://")
+    if path == endpoint or not Path(path).is_socket():
+        return False
+    with socketlib.socket(socketlib.AF_UNIX, socketlib.SOCK_STREAM) as probe:
+        try:
+            probe.connect(path)
+        except OSError:
+            return False
+    return True
