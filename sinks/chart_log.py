@@ -1,0 +1,183 @@
+"""Charts, quality and status to MCAP files that any MCAP tool reads."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, BinaryIO, ClassVar, Literal
+
+import msgpack
+from mcap.writer import CompressionType, Writer
+from pydantic import Field
+
+from chachart.node.chart import ChartUpdate
+from chachart.node.errors import SetupError
+from chachart.node.geometry import ArrayGeometry
+from chachart.sinks.base import NodeAccess, Sink, SinkSettings
+from chachart.sinks.files import free_name, write_problems
+from chachart.sinks.plain import plain, rounded
+
+CHUNK_BYTES = 256 * 1024
+FLUSH_S = 5.0
+DECIMALS = {"theta": 6, "theta_std": 6, "snr": 2, "snapshots": 1}
+"""Digits worth keeping; ranges and coordinates are kept to the millimetre."""
+
+_NUMBERS = {"type": "array", "items": {"type": ["number", "null"]}}
+_COLUMNS = {f.name: _NUMBERS for f in fields(ChartUpdate)[2:-1]}
+_SCHEMAS: dict[str, dict[str, Any]] = {
+    "chart": {
+        "title": "chachart.chart",
+        "description": "One row a UE: theta and theta_std in rad, rho, rho_std, x, y in m, snr in dB, "
+        "snapshots in frames; position is the known reference position in m, null where unknown.",
+        "type": "object",
+        "properties": {
+            "array": {"type": "string"},
+            "method": {
+                "type": "object",
+                "properties": {"theta": {"type": "string"}, "rho": {"type": "string"}},
+            },
+            **_COLUMNS,
+            "position": {"type": "array", "items": _NUMBERS},
+        },
+        "required": ["array", "method", *_COLUMNS],
+    },
+    "quality": {"title": "chachart.quality", "type": "object"},
+    "status": {"title": "chachart.status", "type": "object"},
+}
+
+
+class ChartLogSettings(SinkSettings):
+    """`type = "chart_log"`: charts, quality and status to MCAP files."""
+
+    type: Literal["chart_log"] = "chart_log"
+    path: Path = Path("chart-{time}.mcap")
+    """The file; `{time}` becomes the UTC time, and a number is added where a name is taken."""
+    encoding: Literal["json", "msgpack"] = "json"
+    """How messages are written; MCAP tools show JSON, msgpack is shorter."""
+    every_s: float = Field(1.0, ge=0)
+    """Charts are gathered for so long, a UE is written once with its newest place; 0 writes every update."""
+    max_bytes: int = Field(256 * 1024**2, ge=1024**2)
+    """A file that has grown so long is closed and the next one begun."""
+
+
+class ChartLog(Sink):
+    """One channel a topic: `chart.<array>`, `quality.<array>`, `status.<array>`; zstd chunks of 256 KiB."""
+
+    Settings: ClassVar[type[SinkSettings]] = ChartLogSettings
+    settings: ChartLogSettings
+
+    def __init__(self, settings: Any, array: ArrayGeometry) -> None:
+        super().__init__(settings, array)
+        self._file: BinaryIO | None = None
+        self._path: Path | None = None
+        self._waiting: ChartUpdate | None = None
+        self._write_at = self._flush_at = 0.0
+
+    @classmethod
+    def problems(cls, settings: ChartLogSettings) -> list[str]:
+        """Whether a file can be written there."""
+        return write_problems(settings.path)
+
+    def open(self, node: NodeAccess | None) -> None:
+        """Begin the first file.
+
+        Raises
+        ------
+        SetupError
+            If it cannot be written.
+        """
+        self._begin()
+
+    def on_chart(self, update: ChartUpdate) -> None:
+        """Gather the update; write what is gathered when it is time."""
+        waiting = self._waiting
+        self._waiting = update if waiting is None else ChartUpdate.concatenate([waiting, update])
+        if time.monotonic() >= self._write_at:
+            self._write_waiting()
+
+    def on_quality(self, report: dict[str, Any]) -> None:
+        """Write the report."""
+        self._write("quality", {"array": self.array.name, **plain(report)})
+
+    def on_status(self, report: dict[str, Any]) -> None:
+        """Write the report."""
+        self._write("status", {"array": self.array.name, **plain(report)})
+
+    def on_tick(self) -> None:
+        """Write what is gathered when it is time, and a chunk now and then, however short."""
+        now = time.monotonic()
+        if now >= self._write_at:
+            self._write_waiting()
+        if now >= self._flush_at and self._file is not None:
+            self._flush_at = now + FLUSH_S
+            self._writer.flush()
+
+    def close(self) -> None:
+        """Write what is gathered and the index, and close the file."""
+        try:
+            self._write_waiting()
+        finally:
+            self._end()
+
+    def where(self) -> str | None:
+        """The file in progress, or the last one."""
+        return None if self._path is None else str(self._path)
+
+    def _write_waiting(self) -> None:
+        update, self._waiting = self._waiting, None
+        if update is not None:
+            self._write_at = time.monotonic() + self.settings.every_s
+            self._write("chart", _chart(update))
+
+    def _write(self, kind: str, values: dict[str, Any]) -> None:
+        if self._file is None:
+            raise OSError(f"the log {self._path} has ended")
+        if self._file.tell() >= self.settings.max_bytes:
+            self._end()
+            self._begin()
+        text = self.settings.encoding == "json"
+        data = json.dumps(values).encode() if text else msgpack.packb(values)
+        now = time.time_ns()
+        self._writer.add_message(self._channels[kind], now, data, now, self._written)
+        self._written += 1
+        self._file.flush()
+
+    def _begin(self) -> None:
+        self._path = free_name(self.settings.path)
+        try:
+            self._file = self._path.open("xb")
+        except OSError as error:
+            raise SetupError(f"cannot write {self._path}: {error.strerror}") from None
+        self._written = 0
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(profile="chachart")
+        self._writer.add_metadata("chachart.chart", {"array": json.dumps(self.array.as_dict())})
+        self._channels = {}
+        for kind, schema in _SCHEMAS.items():
+            number = self._writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode())
+            topic = f"{kind}.{self.array.name}"
+            self._channels[kind] = self._writer.register_channel(topic, self.settings.encoding, number)
+
+    def _end(self) -> None:
+        file, self._file = self._file, None
+        if file is not None:
+            with file:
+                self._writer.finish()
+
+
+def _chart(update: ChartUpdate) -> dict[str, Any]:
+    """An update as plain values."""
+    values: dict[str, Any] = {
+        "array": update.array,
+        "method": {"theta": update.method.theta, "rho": update.method.rho},
+        "ue": update.ue.tolist(),
+        "time_ns": update.time_ns.tolist(),
+    }
+    for f in fields(update)[4:-1]:
+        values[f.name] = rounded(getattr(update, f.name), DECIMALS.get(f.name, 3))
+    if update.position is not None:
+        flat = rounded(update.position.ravel(), 3)
+        values["position"] = [flat[i : i + 3] for i in range(0, len(flat), 3)]
+    return values
