@@ -13,6 +13,8 @@ from chachart.node.commands.cli import guarded
 COMMANDS = {
     "config": "print a commented sample configuration",
     "import": "turn a capture of another tool into a recording",
+    "info": "show what a recording holds",
+    "watch": "watch a node's chart in the terminal",
 }
 """Each command and what it does. Its module here, `<name>.py` or `<name>_.py` for a word that Python has
 taken, has `add_arguments(parser)` and `run(arguments) -> exit status`."""

@@ -1,0 +1,91 @@
+"""Show what a recording holds: its array, frames, UEs, times, and whether it was closed properly.
+
+chachart info capture.mcap
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from chachart.node.recording import RecordingReader, RecordingSummary
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line of `chachart info`."""
+    parser.add_argument("recording", type=Path, metavar="FILE.mcap", help="the recording")
+    parser.add_argument("--json", action="store_true", help="print it as JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print what the recording holds.
+
+    Raises
+    ------
+    SetupError
+        If there is no such recording.
+    """
+    summary = RecordingReader(arguments.recording).summary()
+    if arguments.json:
+        print(json.dumps(as_json(summary), indent=2))
+    else:
+        width = max(len(name) for name, _ in lines(summary))
+        for name, value in lines(summary):
+            print(f"{name:<{width}}  {value}")
+    return 0
+
+
+def as_json(summary: RecordingSummary) -> dict[str, Any]:
+    """The summary as plain values."""
+    return {
+        "frames": summary.frames,
+        "ues": summary.ues,
+        "start_ns": summary.start_ns,
+        "end_ns": summary.end_ns,
+        "seconds": summary.seconds,
+        "bytes": summary.size,
+        "closed_properly": summary.closed_properly,
+        "damaged": dict(summary.damaged),
+        "array": summary.array.as_dict(),
+        "note": dict(summary.note),
+    }
+
+
+def lines(summary: RecordingSummary) -> Iterator[tuple[str, str]]:
+    """What there is to say, as pairs of name and value."""
+    array = summary.array
+    yield "frames", f"{summary.frames} of {summary.ues} UEs"
+    if summary.start_ns is not None and summary.end_ns is not None:
+        yield "from", _utc(summary.start_ns)
+        yield "to", f"{_utc(summary.end_ns)} ({summary.seconds:.3f} s)"
+    yield "size", f"{summary.size / 1e6:.1f} MB"
+    yield "closed", "properly" if summary.closed_properly else "no: the writer was killed or still writes"
+    if summary.damaged:
+        yield "damaged", ", ".join(f"{n} {reason}" for reason, n in summary.damaged.items())
+    yield "array", f"{array.name}: {array.antennas} antennas {array.element_spacing_m:.4g} m apart"
+    yield (
+        "position",
+        f"{_vector(array.position_m)} m, axis {_vector(array.axis)}, looks to {_vector(array.broadside)}",
+    )
+    if array.height_m is not None:
+        yield "height", f"{array.height_m:g} m above the UEs"
+    yield "carrier", f"{array.carrier_hz / 1e6:g} MHz (wavelength {array.wavelength_m:.4g} m)"
+    yield (
+        "subcarriers",
+        f"{array.subcarriers}, {array.subcarrier_spacing_hz / 1e3:g} kHz apart "
+        f"(ranges unambiguous to {array.unambiguous_rho_m:.1f} m)",
+    )
+    for name, value in summary.note.items():
+        yield name.replace("_", " "), value if isinstance(value, str) else json.dumps(value)
+
+
+def _utc(time_ns: int) -> str:
+    return datetime.fromtimestamp(time_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3] + " UTC"
+
+
+def _vector(values: tuple[float, ...]) -> str:
+    return "(" + ", ".join(f"{v:g}" for v in values) + ")"

@@ -1,0 +1,185 @@
+"""Watch a node's chart in the terminal: every UE a dot that moves.
+
+    chachart watch                             the default node, on this machine
+    chachart watch tcp://lab.example:5556 --ue 17
+
+Dots are coloured by their angle to the array. Where the output is no terminal, a line is printed every
+second, or with --json one JSON object for each chart message.
+"""
+
+from __future__ import annotations
+
+import argparse
+import colorsys
+import json
+import sys
+import time
+from collections import deque
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.live import Live
+from rich.style import Style
+from rich.text import Text
+
+from chachart.node.chart import ChartUpdate
+from chachart.node.client import ENDPOINT, Subscription, subscribe
+from chachart.node.commands.canvas import characters, fit, scatter
+
+KEEP_S = 60.0
+REFRESH_S = 0.1
+LINE_S = 1.0
+WINDOW_S = 2.0
+"""Rates are over so long."""
+
+_HUES = 24
+_STYLES = [
+    Style(
+        color="#{:02x}{:02x}{:02x}".format(
+            *(round(255 * c) for c in colorsys.hsv_to_rgb(0.8 * n / _HUES, 0.7, 1))
+        )
+    )
+    for n in range(_HUES)
+]
+_FOLLOWED = Style(color="white", bold=True, reverse=True)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line of `chachart watch`."""
+    parser.add_argument(
+        "endpoint", nargs="?", default=ENDPOINT, help="where the node publishes (%(default)s)"
+    )
+    parser.add_argument("--array", help="of which array; else of all that are published there")
+    parser.add_argument("--ue", type=int, help="follow this UE: mark it and print its estimates")
+    parser.add_argument(
+        "--keep", type=float, default=KEEP_S, metavar="S", help="UEs unheard for so long go (%(default)g)"
+    )
+    parser.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds")
+    parser.add_argument("--json", action="store_true", help="print every chart message as a line of JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Watch until Ctrl-C or the end of `--duration`.
+
+    Raises
+    ------
+    SetupError
+        If the endpoint is none.
+    """
+    end = None if arguments.duration is None else time.monotonic() + arguments.duration
+    with subscribe(arguments.endpoint, arguments.array) as charts:
+        watch = Watch(charts, arguments.ue, arguments.keep)
+        if arguments.json:
+            _print_json(charts, end)
+        elif sys.stdout.isatty():
+            with Live(watch, auto_refresh=False, screen=True) as live:
+                while not _over(end):
+                    watch.receive(REFRESH_S)
+                    live.refresh()
+        else:
+            while not _over(end):
+                watch.receive(LINE_S)
+                print(watch.line(), flush=True)
+    return 0
+
+
+class Watch:
+    """The chart so far and how it comes in; rich draws it."""
+
+    def __init__(self, charts: Subscription, followed: int | None = None, keep_s: float = KEEP_S) -> None:
+        self.charts = charts
+        self.followed = followed
+        self.keep_ns = int(keep_s * 1e9)
+        self.chart: ChartUpdate | None = None
+        self._arrivals: deque[tuple[float, int]] = deque()
+        self._began = time.monotonic()
+
+    def receive(self, seconds: float) -> None:
+        """Take in what comes during so many seconds."""
+        deadline = time.monotonic() + seconds
+        updates = [] if self.chart is None else [self.chart]
+        while (left := deadline - time.monotonic()) > 0:
+            update = self.charts.recv(left)
+            if update is not None:
+                updates.append(update)
+                self._arrivals.append((time.monotonic(), len(update)))
+        if updates:
+            self.chart = ChartUpdate.concatenate(updates)
+            kept = self.chart.time_ns > self.chart.time_ns.max() - self.keep_ns
+            self.chart = self.chart.take(kept)
+        while self._arrivals and self._arrivals[0][0] < time.monotonic() - WINDOW_S:
+            self._arrivals.popleft()
+
+    def line(self) -> str:
+        """How the chart comes in, as one line."""
+        if self.chart is None:
+            return f"waiting for a chart from {self.charts.endpoint}"
+        chart = self.chart
+        window = min(WINDOW_S, time.monotonic() - self._began)
+        rate = sum(count for _, count in self._arrivals) / window
+        words = [f"{chart.array}: {len(chart)} UEs", f"{rate:.0f} estimates/s" if rate else "silent"]
+        words.append(f"{chart.method.theta}/{chart.method.rho}")
+        quality = self.charts.quality or {}
+        words += [f"{name.upper()} {quality[name]:.4f}" for name in ("tw", "ct") if quality.get(name)]
+        if self.charts.lost:
+            words.append(f"{self.charts.lost} messages lost")
+        if (row := self._followed_row()) is not None:
+            words.append(f"UE {self.followed}: theta {np.degrees(chart.theta[row]):.2f} deg")
+            words.append(f"rho {chart.rho[row]:.1f} m, x {chart.x[row]:.1f} m, y {chart.y[row]:.1f} m")
+            words.append(f"SNR {chart.snr[row]:.1f} dB")
+        return ", ".join(words)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        yield Text(self.line(), style="bold", no_wrap=True, overflow="ellipsis")
+        if self.chart is not None:
+            yield from self._plot(options.max_width, (options.height or console.height) - 3)
+
+    def _plot(self, columns: int, rows: int) -> RenderResult:
+        chart = self.chart
+        if chart is None or columns < 2 or rows < 2:
+            return
+        bounds = fit(chart.x, chart.y, columns, rows)
+        dots, owner = scatter(chart.x, chart.y, bounds, columns, rows)
+        hue = np.clip(np.nan_to_num(chart.theta) / np.pi * _HUES, 0, _HUES - 1).astype(int)
+        followed = self._followed_row()
+        for text, points in zip(characters(dots), owner.tolist(), strict=True):
+            line = Text(text, no_wrap=True)
+            for column, point in enumerate(points):
+                if point >= 0:
+                    style = _FOLLOWED if point == followed else _STYLES[hue[point]]
+                    line.stylize(style, column, column + 1)
+            yield line
+        left, right, bottom, top = bounds
+        ranges = f"x {left:.0f} to {right:.0f} m, y {bottom:.0f} to {top:.0f} m, array at x = y = 0"
+        yield Text(ranges, style="dim", no_wrap=True, overflow="ellipsis")
+
+    def _followed_row(self) -> int | None:
+        if self.chart is None or self.followed is None:
+            return None
+        rows = np.flatnonzero(self.chart.ue == np.uint64(self.followed))
+        return int(rows[0]) if len(rows) else None
+
+
+def _print_json(charts: Subscription, end: float | None) -> None:
+    while not _over(end):
+        update = charts.recv(LINE_S if end is None else max(0.0, min(LINE_S, end - time.monotonic())))
+        if update is None:
+            continue
+        columns = {f.name: getattr(update, f.name) for f in fields(update)[2:]}
+        values = {name: _plain(value) for name, value in columns.items() if value is not None}
+        message = {"array": update.array, "gap": charts.gap, **values}
+        print(json.dumps(message), flush=True)
+
+
+def _plain(values: NDArray[Any]) -> list[Any]:
+    """Numbers for JSON, which has no NaN."""
+    plain = values.astype(object)
+    plain[values != values] = None
+    return list(plain.tolist())
+
+
+def _over(end: float | None) -> bool:
+    return end is not None and time.monotonic() >= end
