@@ -1,0 +1,165 @@
+"""Ranging by amplitude: inverse square root (ISQ) and logarithmic regression (LR).
+
+Both turn s, the sum over the antennas of |h|, into a range. Noise lifts |h|, the more so the farther the UE,
+so what |h| stands for is a choice: "debiased" takes the noise power off the mean power, "coherent" averages
+h over frames first (only sound for UEs that stand still, and with frames of equal phase), "noisy" is the
+plain mean of |h|.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from chachart.node.estimation.covariance import Bank, Grouping
+from chachart.node.estimation.slots import Slots
+
+Floats = NDArray[np.float64]
+
+
+class AmplitudeSum:
+    """s (U,) of a block's UEs, running over their frames.
+
+    Parameters
+    ----------
+    kind
+        "debiased", "coherent" or "noisy".
+    antennas
+        N_R.
+    decay
+        Weight of a frame relative to the next one of its UE.
+    """
+
+    def __init__(self, kind: str, antennas: int, decay: float) -> None:
+        self.kind, self.antennas = kind, antennas
+        shape, dtype = ((antennas,), np.complex64) if kind == "coherent" else ((), np.float32)
+        self._bank = Bank(shape if kind != "debiased" else (0,), dtype, decay)
+
+    def resize(self, capacity: int) -> None:
+        """Have rows for `capacity` slots."""
+        self._bank.resize(capacity)
+
+    def clear(self, slots: Slots) -> None:
+        """Start `slots` afresh."""
+        self._bank.clear(slots)
+
+    def update(
+        self, group: Grouping, csi: NDArray[np.complex64], weight: Floats, power: Floats, floor: Floats
+    ) -> Floats:
+        """Take a block's frames.
+
+        Parameters
+        ----------
+        csi
+            (K, N_R, N_S).
+        weight
+            (U,) sum of the weights of each UE's frames.
+        power, floor
+            (U,) signal power per element, and the least that could be told from none.
+        """
+        if self.kind == "debiased":
+            return self.antennas * np.sqrt(np.maximum(power, floor))
+        if self.kind == "coherent":
+            mean = self._bank.add(group, csi[:, :, 0].copy()) / weight[:, None]
+            total: Floats = np.abs(mean).sum(axis=1, dtype=np.float64)
+            return total
+        magnitude = np.abs(csi).sum(axis=(1, 2), dtype=np.float32) / np.float32(csi.shape[2])
+        return self._bank.add(group, magnitude) / weight
+
+
+class Isq:
+    """rho = scale / sqrt(s); scale is 1 until a reference is known.
+
+    With a reference (rho_0, s_0), scale = rho_0 sqrt(s_0). Otherwise it is the mean of rho sqrt(s) over all
+    estimates of UEs whose position is known.
+    """
+
+    def __init__(self, reference: tuple[float, float] | None) -> None:
+        self._fixed = None if reference is None else reference[0] * np.sqrt(reference[1])
+        self._total, self._count = 0.0, 0
+
+    @property
+    def scale(self) -> float:
+        """rho sqrt(s)."""
+        if self._fixed is not None:
+            return float(self._fixed)
+        return self._total / self._count if self._count else 1.0
+
+    def resize(self, capacity: int) -> None:
+        """Nothing is kept by slot."""
+
+    def clear(self, slots: Slots) -> None:
+        """Nothing is kept by slot."""
+
+    def ranges(self, slots: Slots, s: Floats, known_rho: Floats) -> tuple[Floats, Floats]:
+        """rho and its standard deviation: NaN, for what the amplitude owes to the channel is unknown."""
+        root = np.sqrt(s)
+        known = np.isfinite(known_rho)
+        self._total += float((known_rho[known] * root[known]).sum())
+        self._count += int(known.sum())
+        return self.scale / root, np.full(len(s), np.nan)
+
+
+class Lr:
+    """rho = a log(s) + b, or log(rho) = a log(s) + b, by recursive least squares in information form.
+
+    The first `train_ues` UEs whose position is known train it. Each contributes its latest (log s, rho):
+    when it is seen again, its old contribution is taken off the sums and the new one added, so the fit is
+    the exact least squares fit at any time. A UE that leaves keeps its contribution.
+    """
+
+    def __init__(self, train_ues: int, log_range: bool) -> None:
+        self.train_ues, self.log_range = train_ues, log_range
+        self._trained = 0
+        self._sums = np.zeros(6)  # of 1, x, y, x x, x y, y y
+        self._of_slot = Bank((6,), np.float64, 1.0)
+
+    def resize(self, capacity: int) -> None:
+        """Have rows for `capacity` slots."""
+        self._of_slot.resize(capacity)
+
+    def clear(self, slots: Slots) -> None:
+        """Slots that go to other UEs."""
+        self._of_slot.clear(slots)
+
+    def fit(self) -> tuple[float, float, float]:
+        """a, b and the standard deviation of what they leave unexplained; NaN while there are too few UEs."""
+        n, x, y, xx, xy, yy = self._sums
+        spread = xx - x * x / n if n else 0.0
+        if n < 2 or spread <= 1e-12 * xx:
+            return np.nan, np.nan, np.nan
+        a = (xy - x * y / n) / spread
+        left = yy - y * y / n - a * (xy - x * y / n)
+        return a, (y - a * x) / n, float(np.sqrt(max(left, 0.0) / (n - 2))) if n > 2 else np.nan
+
+    def ranges(self, slots: Slots, s: Floats, known_rho: Floats) -> tuple[Floats, Floats]:
+        """rho and its standard deviation, the scatter about the fit; NaN before there is a fit."""
+        x = np.log(s)
+        self._train(slots, x, known_rho)
+        a, b, scatter = self.fit()
+        y = a * x + b
+        if self.log_range:
+            return np.exp(y), np.exp(y) * scatter
+        return np.maximum(y, 0.0), np.full(len(s), scatter)
+
+    def _train(self, slots: Slots, x: Floats, known_rho: Floats) -> None:
+        rows = self._of_slot.rows
+        usable = np.isfinite(known_rho) & (known_rho > 0)
+        trained = usable & (rows[slots, 0] > 0)
+        fresh = np.flatnonzero(usable & ~trained)[: self.train_ues - self._trained]
+        self._trained += len(fresh)
+        use = np.concatenate([np.flatnonzero(trained), fresh])
+        if not len(use):
+            return
+        x, y = x[use], known_rho[use]
+        y = np.log(y) if self.log_range else y
+        new = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+        self._sums += (new - rows[slots[use]]).sum(axis=0)
+        rows[slots[use]] = new
+
+
+def ranging(
+    method: str, *, reference: tuple[float, float] | None, train_ues: int, log_range: bool
+) -> Isq | Lr:
+    """The named amplitude method."""
+    return Isq(reference) if method == "isq" else Lr(train_ues, log_range)

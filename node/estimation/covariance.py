@@ -1,0 +1,212 @@
+"""Sums by UE: whole blocks of frames into weighted sums of covariances, or of their lag sums alone.
+
+A UE's sum is A = sum over its frames of decay**age X, its weight W = sum of decay**age; the average A / W is
+the plain mean for decay = 1 and the exponentially forgetting mean, exact from the first frame on, below
+that.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from chachart.node.estimation.slots import Slots, grown
+
+Complex = NDArray[np.complexfloating[Any, Any]]
+Floats = NDArray[np.float64]
+
+MATMUL_LIMIT = 64
+"""Up to this size, lag sums come from the covariance itself; beyond, FFTs need fewer operations."""
+
+_SCRATCH_BYTES = 1 << 20
+
+
+class Grouping:
+    """The frames of one block by UE: `slots` holds each UE's slot once, in order of first appearance.
+
+    Parameters
+    ----------
+    frame_slots
+        intp (K,), the slot of each frame.
+    """
+
+    def __init__(self, frame_slots: Slots) -> None:
+        by_slot = np.argsort(frame_slots, kind="stable")
+        ordered = frame_slots[by_slot]
+        starts = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
+        self.single = len(starts) == len(frame_slots)
+        if self.single:
+            self.slots: Slots = frame_slots
+            self.order = self.starts = np.arange(len(frame_slots))
+            self.counts = np.ones(len(frame_slots), np.intp)
+            return
+        counts = np.diff(starts, append=len(ordered))
+        first = np.empty(len(ordered), np.intp)
+        first[by_slot] = np.repeat(by_slot[starts], counts)
+        self.order = np.argsort(first, kind="stable")
+        appearance = np.argsort(by_slot[starts])
+        self.slots = ordered[starts][appearance]
+        self.counts = counts[appearance]
+        self.starts = np.cumsum(self.counts) - self.counts
+
+    def __len__(self) -> int:
+        return len(self.slots)
+
+    @property
+    def last(self) -> NDArray[np.intp]:
+        """Index of each UE's last frame in the block."""
+        last: NDArray[np.intp] = self.order[self.starts + self.counts - 1]
+        return last
+
+    def sum(self, x: NDArray[Any], decay: float) -> NDArray[Any]:
+        """Sum of each UE's frames of `x` (K, ...), weighted decay**(frames of that UE that follow)."""
+        if self.single:
+            return x
+        x = x[self.order]
+        if decay != 1.0:
+            follow = np.repeat(self.starts + self.counts, self.counts) - 1 - np.arange(len(x))
+            weight = np.power(decay, follow).astype(x.real.dtype)
+            x *= weight.reshape(-1, *[1] * (x.ndim - 1))
+        return np.add.reduceat(x, self.starts, axis=0)
+
+    def fade(self, decay: float) -> Floats:
+        """What is left of each UE's earlier sum after this block: decay**frames, (U,)."""
+        return np.power(decay, self.counts)
+
+
+class Bank:
+    """Weighted sums by slot.
+
+    Parameters
+    ----------
+    shape, dtype
+        Of one UE's row.
+    decay
+        Weight of a frame relative to the next.
+    """
+
+    def __init__(self, shape: tuple[int, ...], dtype: type[np.generic], decay: float) -> None:
+        self.rows = np.zeros((0, *shape), dtype)
+        self.decay = decay
+
+    def resize(self, capacity: int) -> None:
+        """Have rows for `capacity` slots."""
+        if capacity > len(self.rows):
+            self.rows = grown(self.rows, capacity)
+
+    def clear(self, slots: Slots) -> None:
+        """Start `slots` afresh."""
+        self.rows[slots] = 0
+
+    def add(self, group: Grouping, x: NDArray[Any]) -> NDArray[Any]:
+        """Add a block's frames `x` (K, ...); returns the new sums of the block's UEs, (U, ...)."""
+        new = self.rows[group.slots]
+        if self.decay != 1.0:
+            reals = new.view(new.real.dtype)
+            if group.single:
+                reals *= reals.dtype.type(self.decay)
+            else:
+                reals *= group.fade(self.decay).astype(reals.dtype).reshape(-1, *[1] * (reals.ndim - 1))
+        new += group.sum(x, self.decay)
+        self.rows[group.slots] = new
+        return new
+
+
+class Weights:
+    """Sum of weights W and of squared weights by slot: how many frames stand behind an average."""
+
+    def __init__(self, decay: float) -> None:
+        self._sum = Bank((), np.float64, decay)
+        self._squares = Bank((), np.float64, decay * decay)
+
+    def resize(self, capacity: int) -> None:
+        """Have rows for `capacity` slots."""
+        self._sum.resize(capacity)
+        self._squares.resize(capacity)
+
+    def clear(self, slots: Slots) -> None:
+        """Start `slots` afresh."""
+        self._sum.clear(slots)
+        self._squares.clear(slots)
+
+    def add(self, group: Grouping) -> tuple[Floats, Floats]:
+        """Count a block's frames; returns W and the effective number of frames W^2 / sum w^2, each (U,)."""
+        ones = np.ones(len(group.order))
+        weight = self._sum.add(group, ones)
+        return weight, weight * weight / self._squares.add(group, ones)
+
+    def of(self, slots: Slots) -> tuple[Floats, Floats]:
+        """W and the effective number of frames of `slots`; 0 where there was none."""
+        weight, squares = self._sum.rows[slots], self._squares.rows[slots]
+        return weight, np.divide(weight * weight, squares, out=np.zeros_like(weight), where=squares > 0)
+
+
+class LagSums:
+    """Sums along the diagonals of N x N Hermitian matrices, as the lag polynomial of aᴴ(u) Q a(u).
+
+    With a_n(u) = exp(j n u), aᴴ Q a = Re sum_k c_k exp(j k u) where c_k sums Q's k-th upper diagonal: c_0
+    once, the rest twice. Matrices are written into the left half of N x 2N zeros; read with rows one element
+    longer, their diagonals lie in columns.
+    """
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self._scratch: dict[np.dtype[Any], Complex] = {}
+
+    def room(self, count: int, dtype: np.dtype[Any]) -> Complex:
+        """Memory (count, N, N) to write matrices into before `sums(count)`; the next call reuses it."""
+        scratch = self._scratch.get(dtype)
+        if scratch is None or len(scratch) < count:
+            scratch = self._scratch[dtype] = np.zeros((count, self.size, 2 * self.size), dtype)
+        room: Complex = scratch[:count, :, : self.size]
+        return room
+
+    def sums(self, count: int, dtype: np.dtype[Any]) -> Complex:
+        """Lag polynomials (count, N) of the matrices in `room`."""
+        n = self.size
+        reals = self._scratch[dtype][:count].view(dtype.type(0).real.dtype)
+        step = reals.strides[-1]
+        diagonals = np.lib.stride_tricks.as_strided(
+            reals, (count, n, 2 * n), (reals.strides[0], (4 * n + 2) * step, step)
+        )
+        c: Complex = np.einsum("kij->kj", diagonals).view(dtype)
+        c[:, 1:] *= 2
+        return c
+
+    def of(self, q: Complex) -> Complex:
+        """Lag polynomials (K, N) of Hermitian matrices (K, N, N)."""
+        self.room(len(q), q.dtype)[...] = q
+        return self.sums(len(q), q.dtype)
+
+    def of_snapshots(self, x: Complex) -> Complex:
+        """Lag polynomials (K, N) of X Xᴴ for snapshot matrices x (K, N, M)."""
+        n = self.size
+        if n > MATMUL_LIMIT:
+            power = fft.fft(x, fft.next_fast_len(2 * n), axis=1)
+            spectrum = np.einsum("kfm,kfm->kf", power.real, power.real)
+            spectrum += np.einsum("kfm,kfm->kf", power.imag, power.imag)
+            c: Complex = fft.rfft(spectrum, axis=1, norm="forward")[:, :n]
+            c[:, 1:] *= 2
+            return c
+        out = np.empty((len(x), n), x.dtype)
+        chunk = max(_SCRATCH_BYTES // (2 * n * n * x.itemsize), 1)
+        for i in range(0, len(x), chunk):
+            part = x[i : i + chunk]
+            np.matmul(part, part.conj().swapaxes(1, 2), out=self.room(len(part), x.dtype))
+            out[i : i + chunk] = self.sums(len(part), x.dtype)
+        return out
+
+
+def covariances(x: Complex) -> Complex:
+    """X Xᴴ (K, N, N) of snapshot matrices x (K, N, M): uncentred, for a mean is signal here too."""
+    product: Complex = np.matmul(x, x.conj().swapaxes(1, 2))
+    return product
+
+
+def forward_backward(r: Complex) -> Complex:
+    """Mean of Hermitian R (K, N, N) and its conjugate mirror image J R* J."""
+    mean: Complex = (r + r[:, ::-1, ::-1].conj()) / 2
+    return mean

@@ -1,0 +1,224 @@
+"""Blocks of CSI in, chart updates out: the estimators as a plain library."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from chachart.node.chart import ChartUpdate, Method
+from chachart.node.counters import Counters
+from chachart.node.csi import CsiBlock
+from chachart.node.estimation.covariance import Bank, Grouping
+from chachart.node.estimation.options import Options
+from chachart.node.estimation.separate import Located, Locator, SeparateLocator
+from chachart.node.estimation.slots import SlotTable
+from chachart.node.geometry import ArrayGeometry
+
+SPECTRUM_POINTS = 512
+
+
+class ChartEstimator:
+    """Estimates theta and rho of every UE of one array from all of its frames so far.
+
+    Parameters
+    ----------
+    array
+        The array whose frames come in.
+    options
+        See `Options` for names, defaults and meaning.
+
+    Attributes
+    ----------
+    rejected
+        Frames that were not used, and rows that could not be published, by reason: `shape` (not antennas x
+        subcarriers), `zero`, `not_finite`, `untrained` (rho = "lr" before two UEs with a position were seen).
+
+    Raises
+    ------
+    ValueError
+        If an option's value makes no sense; the message begins with the option's name.
+    TypeError
+        If an option is unknown.
+
+    Examples
+    --------
+    >>> array = ArrayGeometry("lab", 8, 4, 2e9, 1e6, 0.075)
+    >>> estimator = ChartEstimator(array, theta="bartlett", rho="music")
+    >>> n, s = np.arange(8)[:, None], np.arange(4)
+    >>> csi = np.exp(1j * (array.theta_phase * np.cos(1.0) * n + array.rho_phase * 50.0 * s))
+    >>> block = CsiBlock("lab", 0, np.array([1], np.uint64), np.array([0]), csi[None].astype(np.complex64))
+    >>> update = estimator.update(block)
+    >>> round(float(update.rho[0]), 2)
+    50.0
+    """
+
+    def __init__(self, array: ArrayGeometry, **options: Any) -> None:
+        self.array = array
+        self.options = Options(**options)
+        self.rejected = Counters()
+        self._table = SlotTable(self.options.max_ues)
+        self._position = Bank((3,), np.float32, 1.0)
+        self._latest = Bank((4,), np.float64, 1.0)
+        self._locator = self._make_locator()
+
+    @property
+    def method(self) -> Method:
+        """The methods in use."""
+        return Method(self.options.theta, self.options.rho)
+
+    @property
+    def ues(self) -> int:
+        """How many UEs are known."""
+        return len(self._table)
+
+    def set_method(self, theta: str, rho: str) -> None:
+        """Go on with other methods; their averages start afresh.
+
+        Raises
+        ------
+        ValueError
+            If a method is unknown or does not fit the array; the estimator then goes on as before.
+        """
+        before = self.options
+        self.options = dataclasses.replace(before, theta=theta, rho=rho)
+        try:
+            self._locator = self._make_locator()
+        except ValueError:
+            self.options = before
+            raise
+
+    def update(self, block: CsiBlock) -> ChartUpdate:
+        """Take a block; returns one row per UE of it, in order of first appearance.
+
+        Frames that carry nothing or nonsense are counted in `rejected` and not used; a UE of which no frame
+        is left has no row.
+
+        Raises
+        ------
+        ValueError
+            If the block has more UEs than `max_ues`.
+        """
+        usable = self._usable(block)
+        if usable is None:
+            return self._nothing()
+        block = usable
+        assigned = self._table.assign(block.ue, block.time_ns)
+        self._make_rows(assigned.new)
+        group = Grouping(assigned.slots)
+        position = self._remember(block, group)
+        known_rho = self.array.theta_rho(position)[1]
+        located = self._locator.update(group, block.csi, known_rho)
+        return self._published(block, group, located, position)
+
+    def forget(self, now_ns: int) -> NDArray[np.uint64]:
+        """Drop the UEs unseen for `forget_after_s` at `now_ns`; returns them."""
+        if self.options.forget_after_s is None:
+            return np.zeros(0, np.uint64)
+        slots = self._table.unseen_since(now_ns - round(self.options.forget_after_s * 1e9))
+        gone = self._table.ues(slots)
+        self._table.remove(slots)
+        return gone
+
+    def spectrum(self, ue: int) -> dict[str, Any] | None:
+        """The spectra behind a UE's estimate (largest value 1); None if the UE is unknown.
+
+        Keys `theta_grid_rad`, `theta_spectrum`, `theta`, `rho`, `theta_std`, `rho_std` and, where a spectral
+        method gives the range, `rho_grid_m` and `rho_spectrum`.
+        """
+        if not 0 <= ue < 2**64:
+            return None
+        slot = int(self._table.lookup(np.array([ue], np.uint64))[0])
+        found = None if slot < 0 else self._locator.spectrum(slot, SPECTRUM_POINTS)
+        if found is None:
+            return None
+        names = ("theta", "rho", "theta_std", "rho_std")
+        return found | dict(zip(names, self._latest.rows[slot].tolist(), strict=True))
+
+    def _make_locator(self) -> Locator:
+        locator = SeparateLocator(self.array, self.options)
+        locator.resize(self._table.capacity)
+        return locator
+
+    def _usable(self, block: CsiBlock) -> CsiBlock | None:
+        """The block without frames that cannot be used, each counted by reason; None if none is left."""
+        if block.csi.shape[1:] != (self.array.antennas, self.array.subcarriers):
+            self.rejected.add("shape", len(block))
+            return None
+        reals = np.ascontiguousarray(block.csi).view(np.float32).reshape(len(block), -1)
+        with np.errstate(all="ignore"):
+            energy = np.einsum("ij,ij->i", reals, reals)
+        good = np.isfinite(energy) & (energy > 0)
+        if good.all():
+            return block
+        zero = int((energy == 0).sum())
+        bad = len(block) - int(good.sum()) - zero
+        for reason, count in (("zero", zero), ("not_finite", bad)):
+            if count:
+                self.rejected.add(reason, count)
+        return block.take(good) if good.any() else None
+
+    def _make_rows(self, new: NDArray[np.intp]) -> None:
+        self._locator.resize(self._table.capacity)
+        self._position.resize(self._table.capacity)
+        self._latest.resize(self._table.capacity)
+        if len(new):
+            self._locator.clear(new)
+            self._position.rows[new] = np.nan
+
+    def _remember(self, block: CsiBlock, group: Grouping) -> NDArray[np.float32]:
+        """Last known position (U, 3) of the block's UEs."""
+        rows = self._position.rows
+        if block.position is not None:
+            known = ~np.isnan(block.position[group.order].sum(axis=1))
+            index = np.where(known, np.arange(len(known)), -1)
+            latest = np.maximum.reduceat(index, group.starts)
+            has = latest >= 0
+            rows[group.slots[has]] = block.position[group.order[latest[has]]]
+        return rows[group.slots]
+
+    def _published(
+        self, block: CsiBlock, group: Grouping, at: Located, position: NDArray[np.float32]
+    ) -> ChartUpdate:
+        x, y = self.array.chart_xy(at.theta, at.rho)
+        columns = (at.theta, at.rho, at.theta_std, at.rho_std)
+        self._latest.rows[group.slots] = np.stack(columns, axis=1)
+        update = ChartUpdate(
+            array=block.array,
+            method=self.method,
+            ue=self._table.ues(group.slots),
+            time_ns=np.maximum.reduceat(block.time_ns[group.order], group.starts),
+            theta=at.theta,
+            rho=at.rho,
+            theta_std=at.theta_std,
+            rho_std=at.rho_std,
+            x=x,
+            y=y,
+            snr=at.snr,
+            snapshots=at.snapshots,
+            position=position,
+        )
+        good = np.isfinite(at.theta) & np.isfinite(at.rho)
+        if good.all():
+            return update
+        self.rejected.add("untrained", int((~good).sum()))
+        return update.take(good)
+
+    def _nothing(self) -> ChartUpdate:
+        none = np.zeros(0)
+        return ChartUpdate(
+            array=self.array.name,
+            method=self.method,
+            ue=np.zeros(0, np.uint64),
+            time_ns=np.zeros(0, np.int64),
+            theta=none,
+            rho=none,
+            theta_std=none,
+            rho_std=none,
+            x=none,
+            y=none,
+            snr=none,
+            snapshots=none,
+        )

@@ -1,0 +1,211 @@
+"""Steering vectors and the search over them: a grid as one real matrix product, then Newton steps.
+
+Uniform manifolds have a_n(u) = exp(j n u), so that aᴴQa is the trigonometric polynomial Re sum_k c_k exp(j k
+u) of Q's lag sums and has exact derivatives. The angle manifold's snapshots are the subcarriers, the delay
+manifold's the antennas.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from chachart.node.geometry import ArrayGeometry
+
+Complex = NDArray[np.complexfloating[Any, Any]]
+Floats = NDArray[np.float64]
+
+GRID_PER_ELEMENT = 4
+"""Grid points per resolution cell 2 pi / N where no step is set: the peak lies within 1/8 of a cell of one of
+them, where the main lobe has lost 5 %, well inside the region that Newton steps converge from."""
+
+
+@dataclass(frozen=True, slots=True)
+class UniformManifold:
+    """a_n(u) = exp(j n u), n = 0 ... size - 1, for u in [low, high].
+
+    Attributes
+    ----------
+    size
+        N, elements of the steering vector.
+    low, high
+        Range of u that is searched.
+    """
+
+    size: int
+    low: float
+    high: float
+
+    def steering(self, u: Any) -> NDArray[np.complex128]:
+        """Steering vectors (..., N) at u (...)."""
+        vectors: NDArray[np.complex128] = np.exp(1j * np.asarray(u)[..., None] * np.arange(self.size))
+        return vectors
+
+    def coordinate(self, u: Floats) -> Floats:
+        """What u stands for."""
+        raise NotImplementedError
+
+    def u(self, coordinate: Any) -> Floats:
+        """The u that a coordinate stands for."""
+        raise NotImplementedError
+
+    def coordinate_std(self, u: Floats, u_std: Floats) -> Floats:
+        """Standard deviation of the coordinate, given that of u."""
+        raise NotImplementedError
+
+    def coordinates(self, step: float) -> Floats:
+        """Every `step` of the coordinate within the range."""
+        ends = self.coordinate(np.array([self.low, self.high]))
+        low, high = float(ends.min()), float(ends.max())
+        return np.append(np.arange(low, high - 1e-9 * step, step), high)
+
+
+@dataclass(frozen=True, slots=True)
+class AngleManifold(UniformManifold):
+    """u = phase cos(theta).
+
+    Beyond half a wavelength of element spacing only the unambiguous |u| <= pi is searched.
+    """
+
+    phase: float
+
+    @classmethod
+    def of(cls, array: ArrayGeometry) -> AngleManifold:
+        """The array's elements, at the middle of its band."""
+        middle = array.carrier_hz + (array.subcarriers - 1) / 2 * array.subcarrier_spacing_hz
+        phase = array.theta_phase * middle / array.carrier_hz
+        edge = min(phase, math.pi)
+        return cls(size=array.antennas, low=-edge, high=edge, phase=phase)
+
+    def coordinate(self, u: Floats) -> Floats:
+        """theta in rad."""
+        return np.arccos(np.clip(u / self.phase, -1, 1))
+
+    def u(self, coordinate: Any) -> Floats:
+        """u at theta."""
+        return self.phase * np.cos(np.asarray(coordinate, np.float64))
+
+    def coordinate_std(self, u: Floats, u_std: Floats) -> Floats:
+        """|d theta / d u| = 1 / (phase sin theta); near the array's axis the curve's own bend limits it."""
+        spread = u_std / self.phase
+        sine = np.sqrt(np.maximum(1 - (u / self.phase) ** 2, 0))
+        return spread / np.maximum(sine, np.sqrt(spread))
+
+
+@dataclass(frozen=True, slots=True)
+class DelayManifold(UniformManifold):
+    """u = phase rho, phase = -2 pi spacing / c."""
+
+    phase: float
+
+    @classmethod
+    def of(cls, array: ArrayGeometry, rho_max_m: float) -> DelayManifold:
+        """The array's subcarriers, from range 0 to `rho_max_m` or to what is unambiguous."""
+        far = min(rho_max_m, array.unambiguous_rho_m)
+        return cls(size=array.subcarriers, low=array.rho_phase * far, high=0.0, phase=array.rho_phase)
+
+    def coordinate(self, u: Floats) -> Floats:
+        """rho in m."""
+        return np.abs(u / self.phase)
+
+    def u(self, coordinate: Any) -> Floats:
+        """u at rho."""
+        return self.phase * np.asarray(coordinate, np.float64)
+
+    def coordinate_std(self, u: Floats, u_std: Floats) -> Floats:
+        """u is proportional to rho."""
+        return u_std / abs(self.phase)
+
+
+class Search:
+    """Finds the extremum of lag polynomials over a manifold's range.
+
+    Parameters
+    ----------
+    manifold
+        Where to look.
+    step
+        Grid step of the manifold's coordinate; None for `GRID_PER_ELEMENT` steps of u per resolution cell.
+    newton_steps
+        Newton steps after the grid.
+    """
+
+    def __init__(self, manifold: UniformManifold, step: float | None, newton_steps: int) -> None:
+        self.manifold = manifold
+        self.newton_steps = newton_steps
+        if step is None:
+            cell = 2 * math.pi / manifold.size / GRID_PER_ELEMENT
+            points = max(math.ceil((manifold.high - manifold.low) / cell), 4) + 1
+            self.grid = np.linspace(manifold.low, manifold.high, points)
+        else:
+            self.grid = np.sort(manifold.u(manifold.coordinates(step)))
+        self._tables: dict[np.dtype[Any], NDArray[Any]] = {}
+
+    def spectrum(self, c: Complex) -> NDArray[Any]:
+        """aᴴQa (K, G) on the grid, of lag polynomials (K, N): one real matrix product."""
+        real = c.real.dtype
+        if real not in self._tables:
+            self._tables[real] = polynomial_table(self.grid, self.manifold.size).astype(real)
+        values: NDArray[Any] = c.view(real) @ self._tables[real]
+        return values
+
+    def extremum(self, c: Complex, *, maximum: bool) -> Floats:
+        """u (K,) at the largest or the least value of the polynomials (K, N).
+
+        Newton steps stay between the grid's neighbours of its best point; a step that would leave, or that a
+        curvature of the wrong sign would turn uphill, is replaced by bisection.
+        """
+        values = self.spectrum(c)
+        best = values.argmax(axis=1) if maximum else values.argmin(axis=1)
+        u: Floats = self.grid[best]
+        low = self.grid[np.maximum(best - 1, 0)]
+        high = self.grid[np.minimum(best + 1, len(self.grid) - 1)]
+        exact = c.astype(np.complex128)
+        if maximum:
+            exact *= -1
+        for _ in range(self.newton_steps):
+            _, slope, curvature = derivatives(exact, u)
+            downhill = slope < 0
+            low, high = np.where(downhill, u, low), np.where(downhill, high, u)
+            convex = curvature > 0
+            target = u - slope / np.where(convex, curvature, 1)
+            inside = convex & (target >= low) & (target <= high)
+            u = np.where(inside, target, (low + high) / 2)
+        return u
+
+
+def derivatives(c: NDArray[np.complex128], u: Floats) -> tuple[Floats, Floats, Floats]:
+    """Value, slope and curvature (K,) of the polynomials c (K, N) at u (K,)."""
+    n = c.shape[1]
+    k = np.arange(n, dtype=np.float64)
+    weights = np.zeros((n, 2, 3))
+    weights[:, 0, 0], weights[:, 1, 1], weights[:, 0, 2] = 1, -k, -k * k
+    terms = powers(u, n)
+    terms *= c
+    result: Floats = terms.view(np.float64) @ weights.reshape(2 * n, 3)
+    return result[:, 0], result[:, 1], result[:, 2]
+
+
+def powers(u: Floats, n: int) -> NDArray[np.complex128]:
+    """exp(j k u) for k = 0 ... n - 1, (K, n), by doubling: far cheaper than as many sines."""
+    out = np.empty((len(u), n), np.complex128)
+    out[:, 0] = 1
+    done = 1
+    step = np.exp(1j * u)
+    while done < n:
+        more = min(done, n - done)
+        np.multiply(out[:, :more], step[:, None], out=out[:, done : done + more])
+        step = step * step
+        done += more
+    return out
+
+
+def polynomial_table(u: Floats, size: int) -> Floats:
+    """(2 N, G) so that interleaved (Re c, Im c) @ table = Re sum_k c_k exp(j k u)."""
+    angles = np.arange(size)[:, None] * u
+    table: Floats = np.stack([np.cos(angles), -np.sin(angles)], axis=1).reshape(2 * size, len(u))
+    return table
