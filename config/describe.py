@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from datetime import date, time
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-import annotated_types as limits
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
@@ -59,7 +58,8 @@ def toml(value: Any) -> str:
         case int() | date() | time():
             return str(value)
         case float():
-            text = repr(value)
+            short = f"{value:g}"
+            text = short if "e" in short and float(short) == value else repr(value)
             mantissa, e, exponent = text.partition("e")
             return f"{mantissa}e{int(exponent)}" if e else text
         case str() | Path():
@@ -95,24 +95,25 @@ def _phrase(kind: Any) -> str:
 
 
 def _bounds(metadata: list[Any]) -> str:
-    words = " and ".join(_limits(metadata))
-    return f" {words}" if words else ""
-
-
-def _limits(metadata: list[Any]) -> Iterator[str]:
+    """Limits in words, with a leading space: ` from 1 to 64`, ` > 0`, ` like ^a+$`."""
+    found: dict[str, Any] = {}
     for m in metadata:
-        match m:
-            case limits.Gt(gt=value):
-                yield f"> {value}"
-            case limits.Ge(ge=value):
-                yield f">= {value}"
-            case limits.Lt(lt=value):
-                yield f"< {value}"
-            case limits.Le(le=value):
-                yield f"<= {value}"
-            case limits.MinLen(min_length=value):
-                yield f"at least {value} long"
-            case limits.MaxLen(max_length=value):
-                yield f"at most {value} long"
-            case _ if pattern := getattr(m, "pattern", None):
-                yield f"like {pattern}"
+        for name in ("gt", "ge", "lt", "le", "min_length", "max_length", "pattern"):
+            if (value := getattr(m, name, None)) is not None:
+                found[name] = value if name == "pattern" else _number(value)
+    words = []
+    if "ge" in found and "le" in found:
+        words.append(f"from {found.pop('ge')} to {found.pop('le')}")
+    signs = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+    words += [f"{sign} {found[name]}" for name, sign in signs.items() if name in found]
+    if "min_length" in found and "max_length" in found:
+        words.append(f"{found.pop('min_length')} to {found.pop('max_length')} long")
+    lengths = {"min_length": "at least", "max_length": "at most"}
+    words += [f"{phrase} {found[name]} long" for name, phrase in lengths.items() if name in found]
+    if "pattern" in found:
+        words.append(f"like {found['pattern']}")
+    return " " + " and ".join(words) if words else ""
+
+
+def _number(value: float) -> str:
+    return str(int(value)) if value == int(value) and abs(value) < 1e9 else toml(float(value))

@@ -6,12 +6,12 @@ import textwrap
 from collections.abc import Iterator
 from inspect import cleandoc
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from chachart.config.describe import allowed, alternatives, nested_model, toml
+from chachart.config.describe import allowed, alternatives, literal_values, nested_model, toml
 from chachart.config.registry import Kind, available, settings_class
 from chachart.config.settings import ArraySettings, EstimatorSettings, QualitySettings, WorkersSettings
 
@@ -111,11 +111,13 @@ def _example(field: FieldInfo) -> Any:
     """A value that the field would take: a declared example, or one made from what is allowed."""
     if field.examples:
         return field.examples[0]
+    if literals := literal_values(field.annotation):
+        return literals[0]
     kind = alternatives(field.annotation)[0]
-    if kind in (int, float):
-        return next((m.ge for m in field.metadata if hasattr(m, "ge")), 1)
-    values = {str: "text", Path: "file", bool: False}
-    return values.get(kind, [0.0, 0.0, 0.0])
+    if get_origin(kind) is tuple:
+        return [1.0 for _ in get_args(kind)]
+    lowest = next((m.ge for m in field.metadata if hasattr(m, "ge")), 1)
+    return {int: lowest, float: float(lowest), Path: "file", bool: False}.get(kind, "text")
 
 
 def _comment(text: str) -> str:
