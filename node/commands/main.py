@@ -12,6 +12,7 @@ from chachart.node.commands.cli import guarded
 
 COMMANDS = {
     "config": "print a commented sample configuration",
+    "ctl": "ask and steer a running node",
     "import": "turn a capture of another tool into a recording",
     "info": "show what a recording holds",
     "watch": "watch a node's chart in the terminal",

@@ -1,0 +1,170 @@
+"""Ask and steer a running node that has a `control` sink.
+
+chachart ctl status                         how the node is
+chachart ctl ues                            who is in the chart
+chachart ctl spectrum 7                     where UE 7 is, and both its spectra (--json)
+chachart ctl method music bartlett          estimate theta and rho with these from now on
+chachart ctl record start lab.mcap          record the CSI that comes in, into the node's recording folder
+chachart ctl record stop
+chachart ctl snapshot chart.csv             the whole chart as .csv or .json
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import zmq
+
+from chachart.node.errors import SetupError
+
+ENDPOINT = "tcp://127.0.0.1:5557"
+_COLUMNS = ("ue", "time_ns", "x", "y", "theta", "rho", "theta_std", "rho_std", "snr", "snapshots")
+
+Reply = dict[str, Any]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line of `chachart ctl`."""
+    parser.add_argument("--endpoint", default=ENDPOINT, help=f"the node's control endpoint ({ENDPOINT})")
+    parser.add_argument("--token", help="the control sink's token, needed from another machine")
+    parser.add_argument("--timeout", type=float, default=10.0, metavar="S", help="seconds to wait (10)")
+    parser.add_argument("--json", action="store_true", help="print the node's answer as JSON")
+    operations = parser.add_subparsers(metavar="OPERATION", required=True)
+
+    def operation(name: str, purpose: str, show: Callable[[Reply, argparse.Namespace], None]) -> Any:
+        added = operations.add_parser(name, help=purpose)
+        added.set_defaults(op=name, show=show)
+        return added
+
+    operation("status", "how the node is", _show_status)
+    operation("ues", "who is in the chart", _show_ues)
+    operation("spectrum", "one UE's spectra", _show_spectrum).add_argument("ue", type=int, metavar="UE")
+    method = operation("method", "choose how theta and rho are estimated", _show_method)
+    method.add_argument("theta", metavar="THETA")
+    method.add_argument("rho", metavar="RHO")
+    record = operation("record", "start or stop a recording", _show_record).add_subparsers(required=True)
+    start = record.add_parser("start", help="record to PATH, a file name in the node's recording folder")
+    start.add_argument("path", metavar="PATH")
+    start.set_defaults(on=True)
+    record.add_parser("stop", help="close the recording").set_defaults(on=False)
+    snapshot = operation("snapshot", "save the whole chart as .csv or .json", _save)
+    snapshot.add_argument("file", type=Path, metavar="FILE")
+    snapshot.set_defaults(op="chart")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Ask, and show what the node answers.
+
+    Raises
+    ------
+    SetupError
+        If no node answers, or it cannot do what was asked; the line says why.
+    """
+    if "file" in arguments and arguments.file.suffix not in (".csv", ".json"):
+        raise SetupError(f"{arguments.file}: a snapshot is a .csv or a .json file")
+    names = ("op", "ue", "theta", "rho", "on", "path", "token")
+    request = {name: value for name in names if (value := getattr(arguments, name, None)) is not None}
+    reply = ask(arguments.endpoint, request, arguments.timeout)
+    if arguments.json and "file" not in arguments:
+        print(json.dumps(reply, indent=2))
+    else:
+        arguments.show(reply, arguments)
+    return 0
+
+
+def ask(endpoint: str, request: dict[str, Any], timeout: float) -> Reply:
+    """A control sink's answer to one request.
+
+    Raises
+    ------
+    SetupError
+        If nobody answers within `timeout` seconds, or the answer is an error.
+    """
+    with zmq.Context() as context, context.socket(zmq.REQ) as socket:
+        socket.linger = 0
+        try:
+            socket.connect(endpoint)
+        except zmq.ZMQError as error:
+            raise SetupError(f"{endpoint} is no ZeroMQ endpoint: {error.strerror}") from None
+        socket.send(msgpack.packb(request))
+        if not socket.poll(int(timeout * 1e3)):
+            raise SetupError(
+                f"no node answers at {endpoint} within {timeout:g} s; does it run, with a control sink there?"
+            )
+        reply = msgpack.unpackb(socket.recv())
+    if not reply["ok"]:
+        raise SetupError(reply["error"])
+    result: Reply = reply["result"]
+    return result
+
+
+def _show_status(status: Reply, _: argparse.Namespace) -> None:
+    quality = status["quality"] or {}
+    lost = ", ".join(f"{n} {why}" for why, n in {**status["dropped"], **status["rejected"]}.items() if n)
+    latency = status["latency_ms"]
+    lines = {
+        "state": f"{status['state']} for {status['seconds']:.0f} s",
+        "method": f"theta {status['method']['theta']}, rho {status['method']['rho']}",
+        "frames": f"{status['frames_in']} in, {status['frames_estimated']} estimated, "
+        f"{status['backlog_frames']} waiting, {status['frames_estimated_per_s']:.0f} per s",
+        "lost": lost or "nothing",
+        "UEs": str(status["ues"]),
+        "latency": f"{_number(latency.get('p50'))} ms, 99 % within {_number(latency.get('p99'))} ms",
+        "workers": ", ".join(f"{w['ues']} UEs, {w['restarts']} restarts" for w in status["workers"]),
+        "quality": f"TW {_number(quality.get('tw'), 4)}, CT {_number(quality.get('ct'), 4)}",
+        "recording": status["recording"] or "no",
+    }
+    for name, text in lines.items():
+        print(f"{name:<10} {text}")
+
+
+def _show_ues(reply: Reply, _: argparse.Namespace) -> None:
+    print(f"{'UE':>20} {'x m':>10} {'y m':>10} {'theta deg':>10} {'rho m':>10} {'SNR dB':>8} {'frames':>8}")
+    for ue in reply["ues"]:
+        degrees = None if ue["theta"] is None else math.degrees(ue["theta"])
+        figures = [_number(v) for v in (ue["x"], ue["y"], degrees, ue["rho"])]
+        rest = [_number(ue[key]) for key in ("snr", "snapshots")]
+        print(f"{ue['ue']:>20}", *(f"{f:>10}" for f in figures), *(f"{f:>8}" for f in rest))
+
+
+def _show_spectrum(reply: Reply, _: argparse.Namespace) -> None:
+    for name, unit, scale in (("theta", "degrees", 180 / math.pi), ("rho", "m", 1.0)):
+        value, std = (reply.get(key) for key in (name, f"{name}_std"))
+        value, std = (None if v is None else v * scale for v in (value, std))
+        print(f"{name:<6} {_number(value, 3)} {unit}, standard deviation {_number(std, 3)}")
+
+
+def _show_method(reply: Reply, _: argparse.Namespace) -> None:
+    print(f"theta {reply['theta']}, rho {reply['rho']}")
+
+
+def _show_record(reply: Reply, arguments: argparse.Namespace) -> None:
+    print(f"{'recording to' if arguments.on else 'closed'} {reply.get('where')}")
+
+
+def _save(chart: Reply, arguments: argparse.Namespace) -> None:
+    if not chart:
+        raise SetupError("the chart is empty yet")
+    try:
+        with arguments.file.open("w", newline="") as file:
+            if arguments.file.suffix == ".json":
+                json.dump(chart, file)
+            else:
+                writer = csv.writer(file)
+                writer.writerow(_COLUMNS)
+                writer.writerows(zip(*(chart[name] for name in _COLUMNS), strict=True))
+    except OSError as error:
+        raise SetupError(f"{arguments.file} cannot be written: {error.strerror}") from None
+    print(f"{len(chart['ue'])} UEs to {arguments.file}", file=sys.stderr)
+
+
+def _number(value: float | None, digits: int = 1) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

@@ -1,0 +1,131 @@
+"""What people may ask a running node over ZeroMQ, HTTP or the live view: the same operations everywhere.
+
+    status                          the latest status report, with the quality report
+    ues                             who is in the chart
+    chart                           the whole chart, as columns
+    spectrum   ue                   theta and rho spectra of one UE
+    method     theta, rho           estimate with these methods from now on
+    record     on, path             start (with a file name) or stop a recording of the CSI that comes in
+
+A request that does not fit gets a `RequestError` in one line and changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, TypeAdapter, ValidationError, model_validator
+
+from chachart.config.model import Settings
+from chachart.config.settings import RhoMethod, ThetaMethod
+from chachart.node.errors import RequestError
+from chachart.sinks.base import NodeAccess
+from chachart.sinks.plain import plain
+
+_FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*\.mcap$"
+
+
+class _Status(Settings):
+    op: Literal["status"]
+
+
+class _Ues(Settings):
+    op: Literal["ues"]
+
+
+class _Chart(Settings):
+    op: Literal["chart"]
+
+
+class _Spectrum(Settings):
+    op: Literal["spectrum"]
+    ue: int = Field(ge=0, lt=2**64)
+
+
+class _Method(Settings):
+    op: Literal["method"]
+    theta: ThetaMethod
+    rho: RhoMethod
+
+
+class _Record(Settings):
+    op: Literal["record"]
+    on: bool
+    path: str | None = Field(None, max_length=128, pattern=_FILE_NAME)
+
+    @model_validator(mode="after")
+    def _named(self) -> _Record:
+        if self.on and self.path is None:
+            raise ValueError("path must name the file to record to")
+        return self
+
+
+_Request = _Status | _Ues | _Chart | _Spectrum | _Method | _Record
+_REQUESTS: TypeAdapter[_Request] = TypeAdapter(Annotated[_Request, Field(discriminator="op")])
+
+READING = ("status", "ues", "chart", "spectrum")
+"""Operations that change nothing."""
+CHANGING = ("method", "record")
+"""Operations that change what the node does."""
+
+
+class Operations:
+    """Carries out requests.
+
+    Parameters
+    ----------
+    node
+        Whom to ask.
+    folder
+        Where recordings go; a request names a file in it and nothing else.
+    """
+
+    def __init__(self, node: NodeAccess, folder: Path) -> None:
+        self._node = node
+        self._folder = folder
+
+    def perform(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Carry out `{"op": ..., arguments ...}` and answer with plain values. May block for seconds.
+
+        Raises
+        ------
+        RequestError
+            If the request does not fit, or the node cannot carry it out; nothing has changed then.
+        """
+        try:
+            asked = _REQUESTS.validate_python(dict(request))
+        except ValidationError as error:
+            raise RequestError(_first_mistake(error)) from None
+        arguments = asked.model_dump(exclude={"op"})
+        match asked:
+            case _Status():
+                return {**plain(self._node.status()), "quality": plain(self._node.quality())}
+            case _Method():
+                answer = self._node.request("set_method", arguments)
+            case _Record(on=True, path=str(path)):
+                answer = self._record(path)
+            case _Record():
+                answer = self._node.request("record", {"on": False, "path": None})
+            case _:
+                answer = self._node.request(asked.op, arguments)
+        result: dict[str, Any] = plain(answer)
+        return result
+
+    def _record(self, path: str) -> dict[str, Any]:
+        target = self._folder / path
+        if target.exists():
+            raise RequestError(f"{path} is there already; recordings are never overwritten")
+        if not self._folder.is_dir():
+            raise RequestError(f"the recording folder {self._folder} does not exist")
+        return self._node.request("record", {"on": True, "path": str(target)})
+
+
+def _first_mistake(error: ValidationError) -> str:
+    mistake = error.errors(include_url=False, include_context=False)[0]
+    if mistake["type"] in ("union_tag_invalid", "union_tag_not_found"):
+        return f"op must be one of {', '.join(READING + CHANGING)}"
+    where = ".".join(str(part) for part in mistake["loc"][1:])
+    text = mistake["msg"].removeprefix("Value error, ")
+    return f"{where}: {text}" if where else text

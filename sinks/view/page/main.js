@@ -1,0 +1,285 @@
+// Ties the stream, the chart, the panels and the controls together.
+
+import { redraw } from './curve.js';
+import { saveCsv, savePng, stamp } from './export.js';
+import { bindKeys } from './keys.js';
+import { number, showHistory, showNode, showQuality, showSpectra, showUser } from './panels.js';
+import { Picture } from './picture.js';
+import { Stream } from './stream.js';
+import { World } from './world.js';
+
+const KEPT = 720; // reports behind the curves
+const $ = (id) => document.getElementById(id);
+const world = new World();
+const picture = new Picture($('plot'), world, (row) => select(row < 0 ? null : world.ue[row]));
+const stream = new Stream();
+let hello = null;
+let statuses = [];
+let qualities = [];
+let excess = 0;
+
+const say = (text) => ($('said').textContent = text);
+function toast(text) {
+  $('toast').textContent = text;
+  $('toast').hidden = false;
+  clearTimeout(toast.timer);
+  toast.timer = setTimeout(() => ($('toast').hidden = true), 5000);
+}
+
+// ---- theme -----------------------------------------------------------------------------------------------
+const system = matchMedia('(prefers-color-scheme: dark)');
+function theme(choice) {
+  if (choice) localStorage.setItem('theme', choice);
+  const dark = (localStorage.getItem('theme') ?? (system.matches ? 'dark' : 'light')) === 'dark';
+  document.documentElement.dataset.theme = dark ? 'dark' : 'light';
+  picture.retheme(dark);
+  key();
+  redraw(document.querySelectorAll('.curve'));
+}
+system.addEventListener('change', () => theme());
+
+// ---- what the node says ----------------------------------------------------------------------------------
+stream.addEventListener('state', () => {
+  const words = { live: 'live', paused: 'paused', gone: 'node gone', connecting: 'connecting' };
+  $('link').dataset.state = stream.state;
+  $('link').textContent = words[stream.state];
+  $('gone').hidden = stream.state !== 'gone';
+  if (stream.state === 'gone') $('gone').textContent = `${stream.reason || 'The node is gone.'} This is the last chart it gave; trying to reach it again …`;
+  for (const id of ['theta', 'rho', 'record']) $(id).disabled = stream.state === 'gone';
+});
+
+stream.addEventListener('hello', ({ detail }) => {
+  if (hello && hello.page !== detail.page) location.reload();
+  hello = detail;
+  const { array } = hello;
+  $('array').textContent = `${array.name} · ${array.antennas} antennas · ${array.subcarriers} subcarriers · ${number(array.carrier_hz / 1e9)} GHz`;
+  document.title = `${array.name} · chachart`;
+  for (const kind of ['theta', 'rho']) {
+    $(kind).replaceChildren(...hello.methods[kind].map((name) => new Option(name, name)));
+  }
+  statuses = hello.statuses;
+  qualities = hello.qualities;
+  showQuality(qualities.at(-1), qualities, $('qualityof').value);
+  if (statuses.length) takeStatus(statuses.at(-1));
+});
+
+stream.addEventListener('chart', ({ detail: frame }) => {
+  const first = world.rows === 0;
+  world.apply(frame);
+  $('waiting').hidden = world.rows > 0;
+  for (const kind of ['theta', 'rho']) if (document.activeElement !== $(kind)) $(kind).value = frame.method[kind];
+  if (first && world.rows) measure();
+  picture.touch();
+});
+
+stream.addEventListener('status', ({ detail }) => {
+  statuses = [...statuses, detail].slice(-KEPT);
+  takeStatus(detail);
+});
+
+function takeStatus(status) {
+  showNode(status, statuses);
+  const on = Boolean(status.recording);
+  $('record').setAttribute('aria-pressed', on);
+  // UEs that the node has forgotten: the whole chart says which.
+  excess = status.ues < world.rows ? excess + 1 : 0;
+  if (excess > 2 && stream.state === 'live') {
+    excess = 0;
+    stream.ask('sync').catch(() => {});
+  }
+}
+
+stream.addEventListener('quality', ({ detail }) => {
+  qualities = [...qualities, detail].slice(-KEPT);
+  showQuality(detail, qualities, $('qualityof').value);
+});
+
+// ---- once a second: ranges, key, selected UE --------------------------------------------------------------
+function key() {
+  const said = picture.colouring.measure(world);
+  $('keylow').textContent = said.low;
+  $('keyhigh').textContent = said.high;
+  picture.colouring.key($('keybar'), said.by);
+}
+
+let frames = 0;
+function measure() {
+  key();
+  if (picture.view.auto) picture.fit();
+  const fps = picture.drawn - frames;
+  frames = picture.drawn;
+  document.documentElement.dataset.fps = fps;
+  $('counts').textContent = `${number(world.rows)} UEs · ${fps} pictures/s`;
+  refresh();
+  picture.touch();
+}
+setInterval(measure, 1000);
+
+let asking = false;
+async function refresh() {
+  const row = picture.ue === null ? undefined : world.index.get(picture.ue);
+  $('user').hidden = picture.ue === null;
+  if (row === undefined) return;
+  const truth = showUser(world, row, hello.array);
+  showHistory(world, row, $('historyof').value);
+  if (asking || stream.state === 'gone') return;
+  asking = true;
+  const { ue } = picture;
+  try {
+    const spectrum = await stream.ask('spectrum', { ue: `${ue}` });
+    if (picture.ue === ue) showSpectra(spectrum, truth);
+  } catch (error) {
+    if (stream.state !== 'gone') toast(`No spectrum of UE ${ue}: ${error.message}`);
+  } finally {
+    asking = false;
+  }
+}
+
+function select(ue) {
+  picture.ue = ue;
+  picture.touch();
+  refresh();
+  const row = world.index.get(ue);
+  say(row === undefined ? 'nothing selected'
+    : `UE ${ue}, x ${number(world.x[row])} metres, y ${number(world.y[row])} metres, SNR ${number(world.snr[row])} decibel`);
+}
+
+/** The next UE by number, forwards or backwards. */
+function step(forward) {
+  const ues = [...world.index.keys()].sort((a, b) => (a < b ? -1 : 1));
+  if (!ues.length) return;
+  const at = ues.indexOf(picture.ue);
+  select(ues[at < 0 ? (forward ? 0 : ues.length - 1) : (at + (forward ? 1 : ues.length - 1)) % ues.length]);
+}
+
+// ---- controls --------------------------------------------------------------------------------------------
+function pause() {
+  stream.pause(!stream.paused);
+  $('pause').setAttribute('aria-pressed', stream.paused);
+  $('pause').textContent = stream.paused ? 'Resume' : 'Pause';
+}
+
+function choose(id, set) {
+  const apply = () => {
+    set($(id).value);
+    localStorage.setItem(id, $(id).value);
+    key();
+    picture.draw();
+    if (picture.view.auto) picture.fit();
+  };
+  const kept = localStorage.getItem(id);
+  if (kept && [...$(id).options].some((o) => o.value === kept)) $(id).value = kept;
+  $(id).addEventListener('change', apply);
+  set($(id).value);
+}
+
+function cycle(id) {
+  const select = $(id);
+  select.selectedIndex = (select.selectedIndex + 1) % select.options.length;
+  select.dispatchEvent(new Event('change'));
+  say(`${id}: ${select.value}`);
+}
+
+/** The two choices go together: the joint method is one for both. */
+async function changeMethod(changed) {
+  const other = changed === 'theta' ? 'rho' : 'theta';
+  const chosen = { theta: $('theta').value, rho: $('rho').value };
+  if (chosen[changed] === 'joint') chosen[other] = 'joint';
+  else if (chosen[other] === 'joint') chosen[other] = chosen[changed] === 'isq' || chosen[changed] === 'lr' ? 'bartlett' : chosen[changed];
+  try {
+    await stream.ask('method', chosen);
+    Object.assign($(other), { value: chosen[other] });
+    toast(`Estimating θ with ${chosen.theta}, ρ with ${chosen.rho}`);
+  } catch (error) {
+    toast(`The method stays: ${error.message}`);
+  }
+  $(changed).blur();
+}
+
+async function record() {
+  if ($('record').getAttribute('aria-pressed') === 'true') {
+    try {
+      await stream.ask('record', { on: false });
+      toast('Recording closed');
+    } catch (error) {
+      toast(`Recording goes on: ${error.message}`);
+    }
+    return;
+  }
+  $('file').value = `capture-${stamp()}.mcap`;
+  $('recording').returnValue = '';
+  $('recording').showModal();
+}
+
+$('recording').addEventListener('close', async () => {
+  if ($('recording').returnValue !== 'start') return;
+  try {
+    await stream.ask('record', { on: true, path: $('file').value });
+    toast(`Recording to ${$('file').value}`);
+  } catch (error) {
+    toast(`Not recording: ${error.message}`);
+  }
+});
+
+function caption() {
+  const report = qualities.at(-1);
+  const quality = report ? ` · TW ${number(report.tw, 4)}, CT ${number(report.ct, 4)} (K = ${report.k})` : '';
+  return `${hello?.array.name ?? ''} · ${number(world.rows)} UEs · θ ${$('theta').value}, ρ ${$('rho').value}${quality} · ${new Date(world.newest).toISOString().slice(0, 19)} UTC`;
+}
+
+const png = () => savePng(picture, caption(), hello?.array.name ?? 'node');
+const csv = () => saveCsv(world, hello?.array.name ?? 'node');
+const dark = () => document.documentElement.dataset.theme === 'dark';
+
+choose('colour', (value) => (picture.colouring.by = value));
+choose('truth', (value) => (picture.truth = value));
+$('trails').addEventListener('change', () => {
+  picture.trails = $('trails').checked;
+  picture.touch();
+});
+$('find').addEventListener('submit', (event) => {
+  event.preventDefault();
+  const text = $('ue').value.trim();
+  const ue = /^\d{1,20}$/.test(text) ? BigInt(text) : null;
+  if (ue !== null && world.index.has(ue)) select(ue);
+  else toast(`No UE ${text} in the chart`);
+});
+for (const kind of ['theta', 'rho']) $(kind).addEventListener('change', () => changeMethod(kind));
+$('qualityof').addEventListener('change', () => showQuality(qualities.at(-1), qualities, $('qualityof').value));
+$('historyof').addEventListener('change', refresh);
+const clicks = {
+  pause, record, png, csv, theme: () => theme(dark() ? 'light' : 'dark'), reset: () => picture.fit(), close: () => select(null),
+  in: () => picture.view.zoom(1.4), out: () => picture.view.zoom(1 / 1.4), help: () => $('keys').showModal(),
+};
+for (const [id, run] of Object.entries(clicks)) $(id).addEventListener('click', run);
+
+bindKeys([
+  [[' '], 'pause or resume', pause],
+  [['n', 'p'], 'next, previous UE', (event) => step(event.key === 'n')],
+  [['/'], 'find a UE by its number', () => $('ue').focus()],
+  [['Escape'], 'let go of the UE', () => select(null)],
+  [['ArrowLeft', 'ArrowRight', 'ArrowUp', 'ArrowDown'], 'move the view', ({ key: k, shiftKey }) => {
+    const far = shiftKey ? 200 : 50;
+    picture.view.pan({ ArrowLeft: far, ArrowRight: -far }[k] ?? 0, { ArrowUp: far, ArrowDown: -far }[k] ?? 0);
+  }],
+  [['+', '=', '-', '_'], 'zoom in, out', (event) => picture.view.zoom('+='.includes(event.key) ? 1.4 : 1 / 1.4)],
+  [['0'], 'show everything', () => picture.fit()],
+  [['c'], 'next colouring', () => cycle('colour')],
+  [['t'], 'truth beside, under, off', () => cycle('truth')],
+  [['l'], 'trails on or off', () => $('trails').click()],
+  [['m'], 'choose the method', () => $('theta').focus()],
+  [['r'], 'record, or stop recording', record],
+  [['s'], 'save the picture (PNG)', png],
+  [['e'], 'save the table (CSV)', csv],
+  [['d'], 'dark or light', () => clicks.theme()],
+  [['?'], 'these keys', () => $('keys').showModal()],
+], $('keylist'));
+
+new ResizeObserver(() => redraw(document.querySelectorAll('.curve'))).observe(document.querySelector('aside'));
+document.addEventListener('visibilitychange', () => {
+  if (!stream.paused) stream.ask('stream', { on: !document.hidden }).catch(() => {});
+});
+theme();
+
+/** For the browser's console, and for tests. */
+window.chachart = { world, picture, stream };

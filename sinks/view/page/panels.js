@@ -1,0 +1,158 @@
+// The figures beside the chart: node, quality and the selected UE.
+
+import { curve } from './curve.js';
+
+const DEGREES = 180 / Math.PI;
+const element = (id) => document.getElementById(id);
+
+/** A number for people: few digits, a true minus, a dash where it is unknown. */
+export function number(value, digits = 3) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return '–';
+  const size = Math.abs(value);
+  const text = size >= 10 ** digits || Number.isInteger(value) ? value.toFixed(0)
+    : value.toFixed(Math.max(0, Math.min(6, digits - 1 - Math.floor(Math.log10(size)))));
+  return text.replace('-', '−').replace(/\B(?=(\d{3})+(?!\d)(?<!\.\d*))/g, '\u202f');
+}
+
+/** Fill a <dl>: [[name, value, {unit, kind}]]; kind is '', 'big', 'long' or 'warn'. */
+export function facts(list, rows) {
+  list.replaceChildren(...rows.map(([name, value, { unit = '', kind = '' } = {}]) => {
+    const row = document.createElement('div');
+    row.className = kind;
+    const term = document.createElement('dt');
+    term.textContent = name;
+    const data = document.createElement('dd');
+    data.textContent = value;
+    if (unit) {
+      const small = document.createElement('small');
+      small.textContent = kind === 'big' ? unit : ` ${unit}`;
+      data.append(small);
+    }
+    row.append(term, data);
+    return row;
+  }));
+}
+
+const seconds = (s) => (s < 120 ? `${s.toFixed(0)} s` : s < 7200 ? `${(s / 60).toFixed(0)} min` : s < 172800 ? `${(s / 3600).toFixed(1)} h` : `${(s / 86400).toFixed(1)} days`);
+
+/** The node's counters and rates; `past` are earlier reports, oldest first. */
+export function showNode(status, past) {
+  const dropped = Object.entries({ ...status.dropped, ...status.rejected }).filter(([, n]) => n > 0);
+  const lost = dropped.reduce((sum, [, n]) => sum + n, 0);
+  facts(element('nodefacts'), [
+    ['Frames', number(status.frames_estimated_per_s, 4), { unit: 'per s', kind: 'big' }],
+    ['Latency', number(status.latency_ms?.p50), { unit: `ms, 99 % ${number(status.latency_ms?.p99)}`, kind: 'big' }],
+    ['State', status.state ?? '–'],
+    ['Up', seconds(status.seconds ?? 0)],
+    ['Frames in', number(status.frames_in)],
+    ['Estimated', number(status.frames_estimated)],
+    ['UEs', number(status.ues)],
+    ['Dropped', number(lost), { kind: lost ? 'warn' : '' }],
+    ['Waiting', number(status.backlog_frames)],
+    ['Source', status.source ?? '–'],
+    ...(status.recording ? [['Recording', status.recording, { kind: 'long' }]] : []),
+  ]);
+  facts(element('drops'), dropped.map(([reason, n]) => [`dropped, ${reason.replaceAll('_', ' ')}`, number(n), { kind: 'long warn' }]));
+  const body = element('workers').tBodies[0];
+  body.replaceChildren(...(status.workers ?? []).map((worker, i) => {
+    const row = document.createElement('tr');
+    for (const text of [`${worker.shard ?? i}`, number(worker.frames_estimated), number(worker.backlog_frames), number(worker.restarts)]) {
+      row.insertCell().textContent = text;
+    }
+    return row;
+  }));
+  const now = past.at(-1)?.time_ns ?? 0;
+  curve(element('rateplot'), {
+    series: [{ x: past.map((s) => (s.time_ns - now) / 1e9), y: past.map((s) => s.frames_estimated_per_s), colour: 'a' }],
+    x: { label: 's ago' },
+    y: { label: 'frames/s' },
+  });
+}
+
+/** TW and CT, over time or against K; `past` are earlier reports, oldest first. */
+export function showQuality(report, past, against) {
+  if (!report) {
+    facts(element('qualityfacts'), []);
+    curve(element('qualityplot'), { series: [], x: {}, y: {}, empty: 'needs UEs whose position is known' });
+    return;
+  }
+  const error = report.error_m ?? {};
+  facts(element('qualityfacts'), [
+    ['Trustworthiness', number(report.tw, 4), { unit: `K = ${report.k}`, kind: 'big' }],
+    ['Continuity', number(report.ct, 4), { unit: `${number(report.ues)} UEs`, kind: 'big' }],
+    ['Error, median', number(error.median), { unit: 'm' }],
+    ['90 %', number(error.p90), { unit: 'm' }],
+    ['Stress', number(report.stress)],
+  ]);
+  const series = (x, tw, ct) => [{ x, y: tw, colour: 'a', name: 'TW' }, { x, y: ct, colour: 'b', name: 'CT' }];
+  if (against === 'k') {
+    const rows = report.curve ?? [];
+    curve(element('qualityplot'), {
+      series: series(rows.map((r) => r.k), rows.map((r) => r.tw), rows.map((r) => r.ct)),
+      x: { label: 'K neighbours' }, y: { label: '' }, marks: [{ x: report.k, colour: 'quiet', dashed: true }], empty: 'no curve in this report',
+    });
+    return;
+  }
+  const now = past.at(-1).time_ns;
+  curve(element('qualityplot'), {
+    series: series(past.map((r) => (r.time_ns - now) / 1e9), past.map((r) => r.tw), past.map((r) => r.ct)),
+    x: { label: 's ago' }, y: { label: '' },
+  });
+}
+
+const decibels = (values) => {
+  const top = Math.max(...values.filter(Number.isFinite));
+  return values.map((v) => Math.max(10 * Math.log10(v / top), -60));
+};
+
+/** The numbers of one UE, from the table. */
+export function showUser(world, row, array) {
+  const truth = Number.isFinite(world.true_x[row]);
+  const age = (world.now() - world.time[row]) / 1000;
+  element('username').textContent = `UE ${world.ue[row]}`;
+  facts(element('userfacts'), [
+    ['θ', `${number(world.theta[row] * DEGREES, 4)}°`, { unit: `± ${number(world.theta_std[row] * DEGREES, 2)}°`, kind: 'big' }],
+    ['ρ', number(world.rho[row], 4), { unit: `± ${number(world.rho_std[row], 2)} m`, kind: 'big' }],
+    ['x', number(world.x[row], 4), { unit: 'm' }],
+    ['y', number(world.y[row], 4), { unit: 'm' }],
+    ['SNR', number(world.snr[row]), { unit: 'dB' }],
+    ['Frames', number(world.snapshots[row]), { unit: 'effective' }],
+    ['Last heard', `${Math.max(age, 0).toFixed(1)}`, { unit: 's ago' }],
+    ['Error', truth ? number(world.error(row)) : '–', { unit: truth ? 'm' : 'no truth' }],
+  ]);
+  if (!truth) return {};
+  const height = array.height_m ?? 0;
+  const { true_x: x, true_y: y } = world;
+  const rho = Math.hypot(x[row], y[row], height);
+  return { theta: Math.acos(y[row] / rho), rho };
+}
+
+/** Both spectra of the selected UE with peak and standard deviation. */
+export function showSpectra(spectrum, truth) {
+  const plot = (canvas, grid, values, peak, std, scale, range, unit, known) => {
+    const at = peak * scale;
+    const half = (std ?? NaN) * scale;
+    curve(element(canvas), {
+      series: values ? [{ x: grid.map((v) => v * scale), y: decibels(values), colour: 'a' }] : [],
+      x: { label: unit, range }, y: { label: 'dB' },
+      bands: half > 0 ? [[at - half, at + half]] : [],
+      marks: [...(Number.isFinite(known) ? [{ x: known * scale, colour: 'b', dashed: true, name: 'truth' }] : []),
+        { x: at, colour: 'accent', name: 'peak ± σ' }],
+      empty: 'this method has no spectrum',
+    });
+  };
+  const s = spectrum;
+  plot('thetaplot', s.theta_grid_rad, s.theta_spectrum, s.theta, s.theta_std, DEGREES, [0, 180], '°', truth.theta);
+  plot('rhoplot', s.rho_grid_m, s.rho_spectrum, s.rho, s.rho_std, 1, undefined, 'm', truth.rho);
+}
+
+/** Where the selected UE has been. */
+export function showHistory(world, row, quantity) {
+  const past = world.historyOf(row);
+  const now = world.now();
+  const [scale, label] = { theta: [DEGREES, 'θ, °'], rho: [1, 'ρ, m'], snr: [1, 'SNR, dB'] }[quantity];
+  curve(element('historyplot'), {
+    series: [{ x: [...past.time, world.time[row]].map((t) => (t - now) / 1000), y: [...past[quantity], world[quantity][row]].map((v) => v * scale), colour: 'a' }],
+    x: { label: 's ago' }, y: { label },
+  });
+}

@@ -1,0 +1,219 @@
+// The chart itself: when to draw, and in which order.
+
+import { drawPane, font, themeColours } from './axes.js';
+import { Colouring } from './colours.js';
+import { Scatter } from './scatter.js';
+import { View } from './view.js';
+
+const GLIDE_MS = 70; // time constant with which points follow their estimates
+
+export class Picture {
+  /** `selected(row or -1)` is called on a click. */
+  constructor(element, world, selected) {
+    Object.assign(this, { element, world });
+    [this.canvas, this.over] = element.querySelectorAll('canvas');
+    this.context = this.canvas.getContext('2d', { alpha: false, willReadFrequently: true });
+    this.scatter = new Scatter(this.context);
+    this.colouring = new Colouring();
+    this.truth = 'beside';
+    this.trails = true;
+    this.ue = null;
+    this.hover = -1;
+    this.drawn = 0;
+    this.view = new View(element, {
+      changed: () => (this.stale = this.dirty = true),
+      picked: (x, y, kind) => selected(this.nearest(x, y, kind === 'touch' ? 28 : 14)),
+      hovered: (x, y) => this.#hovered(x, y),
+    });
+    this.still = matchMedia('(prefers-reduced-motion: reduce)');
+    new ResizeObserver(() => this.#resize()).observe(element);
+    this.retheme(true);
+    this.last = performance.now();
+    requestAnimationFrame((now) => this.#frame(now));
+  }
+
+  retheme(dark) {
+    this.colours = themeColours();
+    this.colouring.setTheme(dark);
+    this.stale = this.dirty = true;
+  }
+
+  /** Something about what is drawn has changed. */
+  touch() {
+    this.dirty = true;
+  }
+
+  /** What the user asked for, as far as a truth is known. */
+  get truthShown() {
+    return this.truth !== 'off' && this.world.spread(this.world.true_x) ? this.truth : 'off';
+  }
+
+  /** Show all UEs, their truths and the array; stays so until the user moves the view. */
+  fit() {
+    const { world, view } = this;
+    view.auto = true;
+    const spans = (columns) => {
+      const found = columns.map((column) => world.spread(column)).filter(Boolean);
+      return found.length ? [Math.min(0, ...found.map((s) => s[0])), Math.max(0, ...found.map((s) => s[1]))] : null;
+    };
+    const truth = this.truthShown !== 'off';
+    const x = spans(truth ? [world.x, world.true_x] : [world.x]);
+    const y = spans(truth ? [world.y, world.true_y] : [world.y]);
+    if (x) view.fit(x, y);
+  }
+
+  /** The row of the UE drawn nearest to a point in CSS pixels, or -1. */
+  nearest(x, y, reach) {
+    const pane = this.view.paneAt(x, y);
+    if (!pane) return -1;
+    const [xs, ys] = this.#coordinates(pane);
+    let best = reach * reach;
+    let row = -1;
+    for (let i = 0; i < this.world.rows; i++) {
+      const dx = pane.x0 + xs[i] * pane.scale - x;
+      const dy = pane.y0 - ys[i] * pane.scale - y;
+      const d = dx * dx + dy * dy;
+      if (d < best) [best, row] = [d, i];
+    }
+    return row;
+  }
+
+  #coordinates(pane) {
+    const { world } = this;
+    return pane.title === 'Truth' ? [world.true_x, world.true_y] : [world.px, world.py];
+  }
+
+  #hovered(x, y) {
+    const row = Number.isNaN(x) ? -1 : this.nearest(x, y, 10);
+    if (row === this.hover) return;
+    this.hover = row;
+    this.dirty = true;
+  }
+
+  #resize() {
+    const ratio = window.devicePixelRatio || 1;
+    const [width, height] = this.view.size.map((v) => Math.max(1, Math.round(v * ratio)));
+    for (const canvas of [this.canvas, this.over]) Object.assign(canvas, { width, height });
+    this.stale = this.dirty = true;
+    if (this.view.auto) this.fit();
+  }
+
+  #frame(now) {
+    requestAnimationFrame((next) => this.#frame(next));
+    const fraction = this.still.matches ? 1 : 1 - Math.exp(-(now - this.last) / GLIDE_MS);
+    this.last = now;
+    const tolerance = 0.2 / this.view.scale;
+    if (this.world.glide(fraction, tolerance)) this.dirty = true;
+    if (!this.dirty || this.canvas.width < 2) return;
+    this.draw();
+    this.dirty = false;
+    this.drawn++;
+  }
+
+  draw() {
+    const ratio = window.devicePixelRatio || 1;
+    const titles = this.truthShown === 'beside' ? ['Truth', 'Chart'] : ['Chart'];
+    if (titles.length !== this.view.titles.length) {
+      this.view.titles = titles;
+      this.stale = true;
+      if (this.view.auto) this.fit();
+    }
+    const panes = this.view.panes(ratio);
+    if (this.stale) {
+      this.context.fillStyle = this.colours.plot;
+      this.context.fillRect(0, 0, this.canvas.width, this.canvas.height);
+      for (const pane of panes) drawPane(this.context, { ...pane, title: titles.length > 1 ? pane.title : '' }, this.colours, ratio);
+      this.scatter.begin();
+      this.stale = false;
+    }
+    const { scatter, world } = this;
+    scatter.clear();
+    scatter.paint(world, this.colouring);
+    const radius = ratio * this.#radius(panes[0], ratio);
+    for (const pane of panes) {
+      const [xs, ys] = this.#coordinates(pane);
+      if (pane.title === 'Chart') {
+        if (this.trails) scatter.trails(world, pane, 120);
+        if (this.truthShown === 'under') {
+          scatter.links(world, pane, 70);
+          scatter.points(world, world.true_x, world.true_y, pane, radius * 0.7, 90);
+        }
+      }
+      scatter.points(world, xs, ys, pane, radius, 225);
+    }
+    scatter.show();
+    this.#overlay(panes, ratio);
+  }
+
+  /** CSS pixels: as large as the pane and the number of UEs allow. */
+  #radius({ left, top, right, bottom }, ratio) {
+    const room = Math.sqrt(((right - left) * (bottom - top)) / Math.max(this.world.rows, 1)) / ratio;
+    return Math.min(Math.max(Math.round(room * 0.21 * 4) / 4, 1.25), 4.5);
+  }
+
+  #overlay(panes, ratio) {
+    const context = this.over.getContext('2d');
+    context.clearRect(0, 0, this.over.width, this.over.height);
+    const selected = this.ue === null ? -1 : this.world.index.get(this.ue) ?? -1;
+    for (const pane of panes) {
+      context.save();
+      context.beginPath();
+      context.rect(pane.left, pane.top, pane.right - pane.left, pane.bottom - pane.top);
+      context.clip();
+      const [xs, ys] = this.#coordinates(pane);
+      if (selected >= 0) this.#mark(context, pane, selected, xs, ys, ratio, true);
+      if (this.hover >= 0 && this.hover !== selected && this.hover < this.world.rows) this.#mark(context, pane, this.hover, xs, ys, ratio, false);
+      context.restore();
+    }
+  }
+
+  #mark(context, pane, row, xs, ys, ratio, selected) {
+    const { world, colours } = this;
+    const x = pane.x0 + xs[row] * pane.scale;
+    const y = pane.y0 - ys[row] * pane.scale;
+    if (!Number.isFinite(x + y)) return;
+    context.lineWidth = (selected ? 2 : 1.2) * ratio;
+    context.strokeStyle = selected ? colours.accent : colours.text;
+    if (selected && pane.title === 'Chart') {
+      this.#spread(context, pane, row, x, y);
+      const tx = pane.x0 + world.true_x[row] * pane.scale;
+      const ty = pane.y0 - world.true_y[row] * pane.scale;
+      if (Number.isFinite(tx + ty)) {
+        context.beginPath();
+        context.moveTo(x, y);
+        context.lineTo(tx, ty);
+        context.moveTo(tx - 4 * ratio, ty - 4 * ratio);
+        context.lineTo(tx + 4 * ratio, ty + 4 * ratio);
+        context.moveTo(tx - 4 * ratio, ty + 4 * ratio);
+        context.lineTo(tx + 4 * ratio, ty - 4 * ratio);
+        context.stroke();
+      }
+    }
+    context.beginPath();
+    context.arc(x, y, (selected ? 8 : 6) * ratio, 0, 2 * Math.PI);
+    context.stroke();
+    context.font = `600 ${font(ratio, 12)}`;
+    const text = selected ? `${world.ue[row]}` : `${world.ue[row]} · ${world.snr[row].toFixed(0)} dB`;
+    const width = context.measureText(text).width + 10 * ratio;
+    const left = x + 12 * ratio + width > pane.right ? x - 12 * ratio - width : x + 12 * ratio;
+    context.fillStyle = colours.panel;
+    context.globalAlpha = 0.88;
+    context.fillRect(left, y - 10 * ratio, width, 20 * ratio);
+    context.globalAlpha = 1;
+    context.fillStyle = colours.text;
+    context.textBaseline = 'middle';
+    context.fillText(text, left + 5 * ratio, y);
+  }
+
+  /** Two standard deviations of theta and rho, as an ellipse turned towards the array. */
+  #spread(context, pane, row, x, y) {
+    const { world } = this;
+    const along = 2 * world.rho_std[row] * pane.scale;
+    const across = 2 * world.theta_std[row] * world.rho[row] * pane.scale;
+    if (!(along > 0 && across > 0 && along < 1e4 && across < 1e4)) return;
+    context.fillStyle = this.colours.band;
+    context.beginPath();
+    context.ellipse(x, y, along, across, Math.atan2(y - pane.y0, x - pane.x0), 0, 2 * Math.PI);
+    context.fill();
+  }
+}

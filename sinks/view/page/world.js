@@ -1,0 +1,138 @@
+// What the page knows of every UE: one row each in typed arrays, with a short history behind it.
+
+export const HISTORY = 40; // samples a UE, at most one a second of the data's own time
+const FLOATS = ['x', 'y', 'true_x', 'true_y', 'theta', 'rho', 'theta_std', 'rho_std', 'snr', 'snapshots'];
+const TRACED = ['x', 'y', 'theta', 'rho', 'snr'];
+
+export class World {
+  constructor() {
+    this.clear();
+  }
+
+  clear() {
+    this.rows = 0;
+    this.capacity = 0;
+    this.index = new Map();
+    this.newest = 0;
+    this.heard = performance.now();
+    this.version = 0;
+    this.#grow(1024);
+  }
+
+  /** Where the drawn points are; they glide towards the latest estimate. */
+  #grow(capacity) {
+    const wider = (Kind, old, width = 1) => {
+      const array = new Kind(capacity * width);
+      if (old) array.set(old);
+      return array;
+    };
+    for (const name of FLOATS) this[name] = wider(Float32Array, this.rows && this[name]);
+    for (const name of ['px', 'py']) this[name] = wider(Float32Array, this.rows && this[name]);
+    this.ue = wider(BigUint64Array, this.rows && this.ue);
+    this.time = wider(Float64Array, this.rows && this.time);
+    this.epoch = wider(Uint32Array, this.rows && this.epoch);
+    this.traces = wider(Uint32Array, this.rows && this.traces);
+    this.past = this.past && this.rows ? this.past : {};
+    for (const name of TRACED) this.past[name] = wider(Float32Array, this.rows && this.past[name], HISTORY);
+    this.past.time = wider(Float64Array, this.rows && this.past.time, HISTORY);
+    this.capacity = capacity;
+  }
+
+  /** Take a chart frame in. A full one is the whole truth: UEs it does not name are gone. */
+  apply(frame) {
+    this.version++;
+    for (let i = 0; i < frame.rows; i++) {
+      const ue = frame.ue[i];
+      let row = this.index.get(ue);
+      const fresh = row === undefined;
+      if (fresh) {
+        if (this.rows === this.capacity) this.#grow(this.capacity * 2);
+        row = this.rows++;
+        this.index.set(ue, row);
+        this.ue[row] = ue;
+        this.traces[row] = 0;
+      }
+      for (const name of FLOATS) this[name][row] = frame[name][i];
+      this.time[row] = frame.time[i];
+      this.epoch[row] = this.version;
+      if (fresh) {
+        this.px[row] = this.x[row];
+        this.py[row] = this.y[row];
+      }
+      if (frame.time[i] > this.newest) this.newest = frame.time[i];
+      this.#trace(row);
+    }
+    if (frame.full) this.#forget();
+    this.heard = performance.now();
+  }
+
+  #trace(row) {
+    const { past } = this;
+    const base = row * HISTORY;
+    const count = this.traces[row];
+    if (count && this.time[row] - past.time[base + ((count - 1) % HISTORY)] < 1000) return;
+    const at = base + (count % HISTORY);
+    for (const name of TRACED) past[name][at] = this[name][row];
+    past.time[at] = this.time[row];
+    this.traces[row] = count + 1;
+  }
+
+  #forget() {
+    for (let row = this.rows - 1; row >= 0; row--) {
+      if (this.epoch[row] === this.version) continue;
+      this.index.delete(this.ue[row]);
+      const last = --this.rows;
+      if (row === last) continue;
+      for (const name of [...FLOATS, 'px', 'py', 'ue', 'time', 'epoch', 'traces']) this[name][row] = this[name][last];
+      for (const column of Object.values(this.past)) {
+        column.copyWithin(row * HISTORY, last * HISTORY, (last + 1) * HISTORY);
+      }
+      this.index.set(this.ue[row], row);
+    }
+  }
+
+  /** Let drawn points glide towards their estimates; says whether any still moves. */
+  glide(fraction, tolerance) {
+    let moving = false;
+    const { px, py, x, y } = this;
+    for (let i = 0; i < this.rows; i++) {
+      const dx = x[i] - px[i];
+      const dy = y[i] - py[i];
+      if (Math.abs(dx) > tolerance || Math.abs(dy) > tolerance) {
+        px[i] += dx * fraction;
+        py[i] += dy * fraction;
+        moving = true;
+      }
+    }
+    return moving;
+  }
+
+  /** The data's own clock, in ms since the epoch. */
+  now() {
+    return this.newest + (performance.now() - this.heard);
+  }
+
+  /** Distance between estimate and truth in metres; NaN where the truth is unknown. */
+  error(row) {
+    return Math.hypot(this.x[row] - this.true_x[row], this.y[row] - this.true_y[row]);
+  }
+
+  /** A UE's past, oldest first: {time, x, y, theta, rho, snr} arrays. */
+  historyOf(row) {
+    const count = this.traces[row];
+    const n = Math.min(count, HISTORY);
+    const places = Array.from({ length: n }, (_, i) => row * HISTORY + ((count - n + i) % HISTORY));
+    return Object.fromEntries(Object.entries(this.past).map(([name, column]) => [name, places.map((p) => column[p])]));
+  }
+
+  /** [low, high] that most values of a column lie in, outliers left out; null where there are none. */
+  spread(column, low = 0.005, high = 0.995) {
+    const step = Math.max(1, Math.floor(this.rows / 4000));
+    const values = [];
+    for (let i = 0; i < this.rows; i += step) if (Number.isFinite(column[i])) values.push(column[i]);
+    if (!values.length) return null;
+    values.sort((a, b) => a - b);
+    const at = (q) => values[Math.round(q * (values.length - 1))];
+    return [at(low), at(high)];
+  }
+}

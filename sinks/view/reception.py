@@ -1,0 +1,102 @@
+"""What the page and the node say to each other over the WebSocket.
+
+The node sends chart frames (binary, `chachart.sinks.view.frames`) and as JSON text `hello`, `status` and
+`quality`. The page sends `{"id", "op", arguments}` and gets `{"type": "answer", "id", "result" | "error"}`.
+Besides the operations of `chachart.sinks.operations`, `{"op": "stream", "on"}` stops and resumes charts and
+`{"op": "sync"}` asks for the whole chart.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any, get_args
+
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
+
+from chachart.config.settings import RhoMethod, ThetaMethod
+from chachart.node.errors import RequestError
+from chachart.sinks.operations import Operations
+from chachart.sinks.view.hub import Hub, Viewer
+
+TRY_AGAIN = 1013
+"""Close code for a viewer too many."""
+
+
+class Reception:
+    """Looks after viewers, each from coming to going; one who asks too much only makes itself wait.
+
+    Parameters
+    ----------
+    hub
+        Where the charts come from.
+    operations
+        What viewers may ask.
+    max_viewers
+        So many may be there at the same time.
+    page_id
+        Changes with the page's files, so that a page left open loads itself anew after an upgrade.
+    """
+
+    def __init__(self, hub: Hub, operations: Operations, max_viewers: int, page_id: str) -> None:
+        self._hub = hub
+        self._operations = operations
+        self._max_viewers = max_viewers
+        self._page_id = page_id
+
+    async def welcome(self, connection: ServerConnection) -> None:
+        """One viewer, from coming to going."""
+        if len(self._hub.viewers) >= self._max_viewers:
+            await connection.close(TRY_AGAIN, "Too many people look at this node already.")
+            return
+        viewer = Viewer()
+        viewer.text("hello", self._hello())
+        self._hub.viewers.add(viewer)
+        sender = asyncio.create_task(viewer.run(connection, self._hub))
+        try:
+            async for message in connection:
+                await connection.send(await self._hear(viewer, message))
+        except ConnectionClosed:
+            return
+        finally:
+            self._hub.viewers.discard(viewer)
+            sender.cancel()
+            with suppress(asyncio.CancelledError, ConnectionClosed):
+                await sender
+
+    def _hello(self) -> str:
+        return json.dumps(
+            {
+                "type": "hello",
+                "page": self._page_id,
+                "array": self._hub.array.as_dict(),
+                "methods": {"theta": get_args(ThetaMethod), "rho": get_args(RhoMethod)},
+                "rate_hz": self._hub.rate_hz,
+                **self._hub.past(),
+            }
+        )
+
+    async def _hear(self, viewer: Viewer, message: str | bytes) -> str:
+        """Carry out a viewer's message; the answer to it."""
+        number = None
+        try:
+            asked = json.loads(message)
+            if not isinstance(asked, dict):
+                raise RequestError("a request is a JSON object")
+            number = asked.pop("id", None)
+            result = await self._obey(viewer, asked)
+        except (RequestError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+            return json.dumps({"type": "answer", "id": number, "error": str(error)})
+        return json.dumps({"type": "answer", "id": number, "result": result})
+
+    async def _obey(self, viewer: Viewer, asked: dict[str, Any]) -> Mapping[str, Any]:
+        if asked == {"op": "sync"}:
+            viewer.start_over()
+            return {}
+        if asked.get("op") == "stream" and type(asked.get("on")) is bool:
+            viewer.flow(asked["on"])
+            return {}
+        return await asyncio.to_thread(self._operations.perform, asked)

@@ -1,0 +1,142 @@
+"""The live view: serves the page, and everything the page shows, on one port.
+
+GET  /                              the page
+GET  /ws                            the WebSocket behind it, see `chachart.sinks.view.reception`
+GET  /api/status /api/ues /api/chart /api/spectrum?ue=
+POST /api/method?theta=&rho=        see `chachart.sinks.operations`
+POST /api/record?on=&path=
+GET  /healthz /readyz /metrics
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field
+
+from chachart.node.chart import ChartUpdate
+from chachart.node.geometry import ArrayGeometry
+from chachart.sinks.base import NodeAccess, Sink
+from chachart.sinks.metrics import metrics_routes
+from chachart.sinks.operations import CHANGING, READING, Operations
+from chachart.sinks.view.hub import Hub, report
+from chachart.sinks.view.reception import Reception
+from chachart.sinks.web.health import Health, health_routes
+from chachart.sinks.web.server import JSON, Answer, Query, Route, WebServer, WebSettings, port_problems
+
+PAGE = Path(__file__).parent / "page"
+_TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+_NOT_SHOWN = ("quality", "latency_histogram")
+
+
+class ViewSettings(WebSettings):
+    """`type = "view"`: the live view in a browser, with HTTP control, health and metrics."""
+
+    type: Literal["view"] = "view"
+    rate_hz: float = Field(10.0, gt=0, le=30)
+    """Chart frames a second to each viewer."""
+    max_viewers: int = Field(64, ge=1, le=1024)
+    """So many may look at the same time."""
+    record_folder: Path = Path(".")
+    """Where recordings that viewers start go; they choose the file's name and nothing else."""
+
+
+class View(Sink):
+    """Shows the chart to people and takes their wishes."""
+
+    Settings = ViewSettings
+
+    def __init__(self, settings: ViewSettings, array: ArrayGeometry) -> None:
+        super().__init__(settings, array)
+        self._health = Health(settings.stale_after_s)
+        self._server: WebServer | None = None
+        self._hub: Hub | None = None
+        self._pages = {file.name: file.read_bytes() for file in sorted(PAGE.iterdir())}
+
+    @classmethod
+    def problems(cls, settings: ViewSettings) -> list[str]:
+        """Whether the port is free."""
+        return port_problems(settings)
+
+    def open(self, node: NodeAccess | None) -> None:
+        """Serve from now on.
+
+        Raises
+        ------
+        SetupError
+            If the port cannot be had.
+        """
+        if node is None:
+            raise ValueError("a live view needs its node")
+        self._hub = Hub(self.array, node, self.settings.rate_hz)
+        operations = Operations(node, self.settings.record_folder)
+        page_id = hashlib.sha256(b"".join(self._pages.values())).hexdigest()[:16]
+        reception = Reception(self._hub, operations, self.settings.max_viewers, page_id)
+        routes = {
+            **self._page_routes(),
+            **_control_routes(operations),
+            **health_routes(self._health),
+            **metrics_routes(node),
+        }
+        door = self._pages["door.html"]
+        self._server = WebServer(self.settings, routes, reception.welcome, self._hub.run, door)
+        self._server.start()
+
+    def on_chart(self, update: ChartUpdate) -> None:
+        """Pass estimates on to viewers, if there are any."""
+        if self._hub is not None:
+            self._hub.offer(update)
+
+    def on_quality(self, values: dict[str, Any]) -> None:
+        """Show how good the chart is."""
+        self._tell("quality", values)
+
+    def on_status(self, values: dict[str, Any]) -> None:
+        """Show how the node is."""
+        self._health.status(values)
+        self._tell("status", {key: value for key, value in values.items() if key not in _NOT_SHOWN})
+
+    def on_tick(self) -> None:
+        """The node calls: it lives."""
+        self._health.called()
+
+    def close(self) -> None:
+        """Say goodbye to viewers and let the port go."""
+        if self._server is not None:
+            self._server.stop()
+            self._server = None
+
+    def where(self) -> str | None:
+        """The page's address."""
+        return None if self._server is None else f"{self._server.address}/"
+
+    def _tell(self, kind: str, values: dict[str, Any]) -> None:
+        if self._server is not None and self._hub is not None:
+            self._server.soon(self._hub.tell, kind, report(values, time.time_ns()))
+
+    def _page_routes(self) -> dict[str, Route]:
+        def page(body: bytes, suffix: str) -> Route:
+            return lambda _: Answer(body, _TYPES[suffix])
+
+        routes = {f"GET /{name}": page(body, Path(name).suffix) for name, body in self._pages.items()}
+        return {"GET /": routes["GET /index.html"], **routes}
+
+
+def _control_routes(operations: Operations) -> dict[str, Route]:
+    def control(op: str) -> Route:
+        def answer(query: Query) -> Answer:
+            return Answer(json.dumps(operations.perform({**query, "op": op})).encode(), JSON)
+
+        return answer
+
+    reading = {f"GET /api/{op}": control(op) for op in READING}
+    return {**reading, **{f"POST /api/{op}": control(op) for op in CHANGING}}
