@@ -1,0 +1,61 @@
+"""Measure how fast this machine runs chachart: tables for people, --json for machines.
+
+Medians of repeated runs, with the least and the most in parentheses. Every process has one BLAS thread.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+BENCHMARKS = {
+    "kernels": "each estimator, and each pair of estimators, beside a textbook implementation",
+    "quality": "trustworthiness and continuity, exact and sampled",
+    "scale": "more UEs, antennas, subcarriers and workers: time and memory a frame",
+}
+"""Each benchmark and what it measures; its module in `benchmarks` has `add_arguments` and `run`."""
+
+ONE_THREAD = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `chachart bench`."""
+    benchmarks = parser.add_subparsers(metavar="BENCHMARK", required=True, dest="benchmark")
+    for name, purpose in BENCHMARKS.items():
+        subparser = benchmarks.add_parser(name, help=purpose, description=purpose)
+        subparser.add_argument("--json", type=Path, metavar="FILE", help="write the results there too")
+        _module(name).add_arguments(subparser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run one benchmark, print its tables, and return the exit status."""
+    if any(os.environ.get(name) != value for name, value in ONE_THREAD.items()):
+        # BLAS reads these when it is loaded, which has happened by now: start over with them set.
+        os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], os.environ | ONE_THREAD)
+    from rich.console import Console
+
+    from chachart.node.commands.benchmarks import machine
+
+    console = Console(width=None if sys.stdout.isatty() else 140)
+    about = machine.describe()
+    console.print("; ".join(f"{name} {value}" for name, value in about.items()), highlight=False)
+    tables = _module(arguments.benchmark).run(arguments)
+    for table in tables:
+        table.show(console)
+    if arguments.json is not None:
+        result = {
+            "benchmark": arguments.benchmark,
+            "machine": about,
+            "tables": [table.as_dict() for table in tables],
+        }
+        arguments.json.write_text(json.dumps(result, indent=1) + "\n")
+    return 0
+
+
+def _module(name: str) -> Any:
+    return import_module(f"chachart.node.commands.benchmarks.{name}")

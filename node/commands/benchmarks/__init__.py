@@ -1,0 +1,1 @@
+"""What `chachart bench` measures, one module a benchmark."""
