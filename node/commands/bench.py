@@ -15,12 +15,10 @@ from typing import Any
 
 BENCHMARKS = {
     "kernels": "each estimator, and each pair of estimators, beside a textbook implementation",
-    "quality": "trustworthiness and continuity, exact and sampled",
-    "scale": "more UEs, antennas, subcarriers and workers: time and memory a frame",
 }
 """Each benchmark and what it measures; its module in `benchmarks` has `add_arguments` and `run`."""
 
-ONE_THREAD = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")}
+ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -11,6 +11,7 @@ from importlib import import_module
 from chachart.node.commands.cli import guarded
 
 COMMANDS = {
+    "bench": "measure how fast this machine runs chachart",
     "config": "print a commented sample configuration",
     "ctl": "ask and steer a running node",
     "import": "turn a capture of another tool into a recording",

@@ -1,7 +1,7 @@
-"""The estimators as a textbook writes them, one UE at a time in plain numpy: what chachart's kernels are held to.
+"""The estimators as a textbook writes them, one UE at a time in plain numpy: what the kernels are held to.
 
-Each takes a sample matrix x (N elements, M snapshots) and the steering vectors a (N, G) of a grid, and returns
-the index of the grid point that the spectrum peaks at.
+Each takes a sample matrix x (N elements, M snapshots) and the steering vectors a (N, G) of a grid, and
+returns the index of the grid point that the spectrum peaks at.
 """
 
 from __future__ import annotations
@@ -44,7 +44,12 @@ def minnorm(x: Complex, a: Complex, order: int = 1) -> int:
     return int(np.argmax(1 / np.abs(w.conj() @ a) ** 2))
 
 
-METHODS: dict[str, Callable[..., int]] = {"bartlett": bartlett, "mvdr": mvdr, "minnorm": minnorm, "music": music}
+METHODS: dict[str, Callable[..., int]] = {
+    "bartlett": bartlett,
+    "mvdr": mvdr,
+    "minnorm": minnorm,
+    "music": music,
+}
 
 
 def pair(
