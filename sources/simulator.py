@@ -46,7 +46,7 @@ class SimulatorSettings(SourceSettings):
     ue_height_m: float = UE_HEIGHT_M
     """Height of the UEs above the ground (world z)."""
     channel: ChannelName = "los"
-    """`los`, a spherical wave."""
+    """`los`, a spherical wave; `qlos` and `qnlos`, urban macro cells with and without line of sight."""
     exponent: float = Field(1.0, ge=0, le=8)
     """Of the amplitude over distance in the `los` channel: 1 in free space."""
     random_phase: bool = False
@@ -95,13 +95,16 @@ class Simulator(Source):
         self.lossless = settings.frame_rate_hz == 0
         self._clock, self._sleep = clock, sleep
         self._rate = settings.frame_rate_hz or _FAST_UE_RATE_HZ * settings.ues
-        self._sent = 0
-        self._skipped_s = 0.0
         self._prepared = 0
         self._to_prepare = 0
         self._work: Iterator[None] | None = None
         self._still: NDArray[np.complex64] | None = None
-        self._scale = np.float32(1.0)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Back to frame 0."""
+        self._sent = 0
+        self._skipped_s = 0.0
         self._start = 0.0
         self._start_ns = 0
 
@@ -120,6 +123,7 @@ class Simulator(Source):
                 f"{self.array.subcarriers} subcarriers take {s.block_frames * frame_bytes >> 20} MiB each; "
                 f"at most {max(1, _BLOCK_BYTES // frame_bytes)} frames fit {_BLOCK_BYTES >> 20} MiB"
             )
+        self._begin()
         start = place(s.layout, s.ues, self.array, s.seed, s.ue_height_m)
         self._motion: Motion = Static(start)
         if s.motion == "waypoint":

@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.geometry import ArrayGeometry
+from chachart.sources.scenario.large_scale import QLOS, QNLOS
 from chachart.sources.scenario.los import LosChannel
+from chachart.sources.scenario.multipath import MultipathChannel
 
-ChannelName = Literal["los"]
+ChannelName = Literal["los", "qlos", "qnlos"]
 Progress = Callable[[int, int], None]
 """Called with (UEs done, UEs in all)."""
 
@@ -37,7 +39,7 @@ def make_channel(
     Parameters
     ----------
     name
-        `los`, see `LosChannel`.
+        `los`, see `LosChannel`; `qlos` and `qnlos`, see `MultipathChannel`.
     array
         The array that receives.
     start
@@ -47,7 +49,9 @@ def make_channel(
     exponent
         Of the amplitude over distance, for `los`.
     """
-    return LosChannel(array, exponent)
+    if name == "los":
+        return LosChannel(array, exponent)
+    return MultipathChannel({"qlos": QLOS, "qnlos": QNLOS}[name], array, start, seed)
 
 
 def synthesise(

@@ -33,4 +33,5 @@ class LosChannel:
         distance = np.maximum(distance, array.wavelength_m)
         first = phasor(-distance / array.wavelength_m)
         first *= (distance**-self.exponent).astype(np.float32)
-        return progression(first, -distance / array.unambiguous_rho_m, array.subcarriers)
+        wave = progression(first, -distance / array.unambiguous_rho_m, array.subcarriers)
+        return np.ascontiguousarray(wave.transpose(1, 2, 0))

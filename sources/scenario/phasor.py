@@ -18,15 +18,16 @@ def phasor(cycles: NDArray[np.float64]) -> NDArray[np.complex64]:
 
 
 def progression(first: NDArray[Any], step_cycles: NDArray[np.float64], n: int) -> NDArray[np.complex64]:
-    """first * exp(j 2 pi k step_cycles) for k = 0..n-1 along a new last axis, (..., n) complex64.
+    """first * exp(j 2 pi k step_cycles) for k = 0..n-1 along a new first axis, (n, ...) complex64.
 
-    Made by doubling: log2(n) products instead of n exponentials, each factor from its exact phase.
+    Made by doubling: log2(n) products instead of n exponentials, each factor from its exact phase. The new
+    axis comes first to keep the products' inner loops long.
     """
-    out = np.empty((*first.shape, n), np.complex64)
-    out[..., 0] = first
+    out = np.empty((n, *first.shape), np.complex64)
+    out[0] = first
     done = 1
     while done < n:
         more = min(done, n - done)
-        np.multiply(out[..., :more], phasor(done * step_cycles)[..., None], out=out[..., done : done + more])
+        np.multiply(out[:more], phasor(done * step_cycles), out=out[done : done + more])
         done += more
     return out

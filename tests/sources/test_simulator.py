@@ -2,6 +2,7 @@ import time
 
 import numpy as np
 import pytest
+from source_contract import SourceCase, SourceContract
 
 from chachart.config.settings import ArraySettings
 from chachart.node.csi import CsiBlock
@@ -12,6 +13,12 @@ from chachart.sources.scenario.layout import place
 from chachart.sources.simulator import LINGER_S, Simulator, SimulatorSettings
 
 ARRAY = ArraySettings(antennas=8, subcarriers=4).geometry()
+
+
+class TestSimulatorKeepsTheContract(SourceContract):
+    @pytest.fixture(params=[0, 2000.0], ids=["lossless", "live"])
+    def case(self, request):
+        return SourceCase("simulator", {"ues": 10, "frame_rate_hz": request.param}, ARRAY)
 
 
 class FakeTime:
