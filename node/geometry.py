@@ -64,11 +64,20 @@ class ArrayGeometry:
     light_speed_m_s: float = SPEED_OF_LIGHT
 
     def __post_init__(self) -> None:
-        for name in ("antennas", "subcarriers", "carrier_hz", "element_spacing_m", "light_speed_m_s"):
-            if not getattr(self, name) > 0:
+        if type(self.name) is not str or not self.name:
+            raise ValueError(f"name must be a text, not {self.name!r}")
+        for name in ("antennas", "subcarriers"):
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
+                raise ValueError(f"{name} must be a positive whole number, not {value!r}")
+        for name in ("carrier_hz", "subcarrier_spacing_hz", "element_spacing_m", "light_speed_m_s"):
+            if not 0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
-        if not np.isfinite(self.subcarrier_spacing_hz) or self.subcarrier_spacing_hz <= 0:
-            raise ValueError(f"subcarrier_spacing_hz must be positive, not {self.subcarrier_spacing_hz}")
+        if self.height_m is not None and not 0 <= self.height_m < np.inf:
+            raise ValueError(f"height_m must be at least 0, not {self.height_m}")
+        position = np.asarray(self.position_m, np.float64)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise ValueError(f"position_m must be 3 numbers, not {self.position_m}")
         axis, broadside = np.asarray(self.axis), np.asarray(self.broadside)
         for name, v in (("axis", axis), ("broadside", broadside)):
             if v.shape != (3,) or not np.isclose(np.linalg.norm(v), 1.0, atol=1e-6):
@@ -152,7 +161,7 @@ class ArrayGeometry:
         plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
         try:
             return cls(**plain)
-        except TypeError as error:
+        except (TypeError, OverflowError) as error:
             raise ValueError(f"not a description of an array: {error}") from None
 
 

@@ -234,8 +234,8 @@ def _samples(header: Mapping[str, Any], raw: Buffer, shape: list[int]) -> NDArra
     if dtype == "<c8":
         return np.frombuffer(raw, "<c8").reshape(shape).astype(np.complex64, copy=False)
     scale = header.get("scale")
-    if not isinstance(scale, int | float) or not math.isfinite(scale) or scale <= 0:
-        raise WireError("scale", f"scale must be a positive number, not {scale!r}"[:200])
+    if not isinstance(scale, int | float) or isinstance(scale, bool) or not 1e-30 <= scale <= 1e30:
+        raise WireError("scale", f"scale must be a number from 1e-30 to 1e30, not {scale!r}"[:200])
     pairs = np.frombuffer(raw, "<i2").astype(np.float32) * np.float32(scale)
     return pairs.view(np.complex64).reshape(shape)
 

@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from chart_samples import some_chart
+from hypothesis import given
+from hypothesis import strategies as st
+
+from chachart.node.chart import ChartUpdate
+
+
+def test_columns_of_other_lengths_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"rho must have shape \(5,\), not \(4,\)"):
+        replace(some_chart(5), rho=np.zeros(4))
+    with pytest.raises(ValueError, match=r"position must be \(5, 3\)"):
+        replace(some_chart(5), position=np.zeros((5, 2), np.float32))
+
+
+@given(st.lists(st.tuples(st.integers(0, 5), st.integers(1, 6), st.booleans()), min_size=1, max_size=5))
+def test_concatenate_keeps_the_newest_row_of_each_ue(parts: list[tuple[int, int, bool]]) -> None:
+    charts = [
+        some_chart(n, first_ue=first, seed=i, position=position)
+        for i, (first, n, position) in enumerate(parts)
+    ]
+    newest = {int(ue): (i, row) for i, c in enumerate(charts) for row, ue in enumerate(c.ue)}
+    whole = ChartUpdate.concatenate(charts)
+    assert sorted(whole.ue.tolist()) == sorted(newest)
+    for row, ue in enumerate(whole.ue.tolist()):
+        part, theirs = newest[ue]
+        assert whole.rho[row] == charts[part].rho[theirs]
+        assert whole.time_ns[row] == charts[part].time_ns[theirs]
+        known = charts[part].position
+        if whole.position is not None:
+            expected = np.full(3, np.nan, np.float32) if known is None else known[theirs]
+            np.testing.assert_array_equal(whole.position[row], expected)
+    assert (whole.position is None) == all(c.position is None for c in charts)
+
+
+def test_rows_stay_in_order() -> None:
+    whole = ChartUpdate.concatenate([some_chart(3), some_chart(2, first_ue=10), some_chart(1, first_ue=1)])
+    assert whole.ue.tolist() == [0, 2, 10, 11, 1]
+
+
+def test_take() -> None:
+    chart = some_chart(5)
+    taken = chart.take(chart.ue > 2)
+    assert taken.ue.tolist() == [3, 4]
+    assert taken.position is not None
+    assert len(taken) == 2

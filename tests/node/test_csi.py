@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from csi_samples import assert_same_frames, some_block
+from hypothesis import given
+from hypothesis import strategies as st
+
+from chachart.node.csi import CsiBlock
+
+
+def test_sizes() -> None:
+    block = some_block(5, antennas=4, subcarriers=3)
+    assert (len(block), block.antennas, block.subcarriers) == (5, 4, 3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"ue": np.zeros(5, np.int64)}, "ue must be uint64"),
+        ({"time_ns": np.zeros(5, np.uint64)}, "time_ns must be int64"),
+        ({"time_ns": np.zeros(4, np.int64)}, r"time_ns must be int64 \(5,\)"),
+        ({"csi": np.zeros((5, 4, 3), np.complex128)}, "csi must be complex64"),
+        ({"csi": np.zeros((4, 4, 3), np.complex64)}, r"csi must be complex64 \(5, 4, 3\)"),
+        ({"csi": np.zeros((5, 4), np.complex64)}, "csi must be"),
+        ({"position": np.zeros((5, 2), np.float32)}, "position must be float32"),
+        (
+            {
+                "ue": np.zeros(0, np.uint64), "time_ns": np.zeros(0, np.int64),
+                "csi": np.zeros((0, 4, 3), np.complex64), "position": None,
+            },
+            "frames >= 1",
+        ),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused(changes: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        replace(some_block(5), **changes)
+
+
+@given(st.lists(st.integers(1, 6), min_size=1, max_size=5), st.booleans())
+def test_concatenated_blocks_can_be_taken_apart(sizes: list[int], position: bool) -> None:
+    blocks = [some_block(n, seq=i, position=position) for i, n in enumerate(sizes)]
+    whole = CsiBlock.concatenate(blocks)
+    assert (len(whole), whole.seq) == (sum(sizes), 0)
+    ends = np.cumsum(sizes)
+    for block, end in zip(blocks, ends, strict=True):
+        assert_same_frames(whole.take(np.arange(end - len(block), end)), block)
+
+
+def test_unknown_positions_among_known_ones_are_nan() -> None:
+    whole = CsiBlock.concatenate([some_block(2, position=False), some_block(3)])
+    assert whole.position is not None
+    assert np.isnan(whole.position[:2]).all()
+    assert np.isfinite(whole.position[2:]).all()
+
+
+def test_a_mask_takes_frames() -> None:
+    block = some_block(4)
+    taken = block.take(np.array([True, False, False, True]))
+    assert_same_frames(taken, block.take(np.array([0, 3])))
+    assert len(taken) == 2

@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from csi_samples import small_array
+from hypothesis import given
+from hypothesis import strategies as st
+
+from chachart.node.geometry import SPEED_OF_LIGHT, ArrayGeometry
+
+metres = st.floats(-1e4, 1e4)
+
+
+@st.composite
+def arrays(draw: st.DrawFn) -> ArrayGeometry:
+    """Arrays of any position and direction."""
+    azimuth, elevation, turn = (draw(st.floats(-math.pi, math.pi)) for _ in range(3))
+    axis = np.array(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    )
+    side = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    broadside = np.cos(turn) * side + np.sin(turn) * np.cross(axis, side)
+    return small_array(
+        antennas=draw(st.integers(1, 128)),
+        subcarriers=draw(st.integers(1, 2048)),
+        carrier_hz=draw(st.floats(1e6, 1e11)),
+        position_m=draw(st.tuples(metres, metres, metres)),
+        axis=tuple(axis.tolist()),
+        broadside=tuple(broadside.tolist()),
+        height_m=draw(st.none() | st.floats(0, 100)),
+        light_speed_m_s=draw(st.sampled_from([SPEED_OF_LIGHT, 3e8])),
+    )
+
+
+@given(arrays())
+def test_json_round_trip(array: ArrayGeometry) -> None:
+    assert ArrayGeometry.from_dict(json.loads(json.dumps(array.as_dict()))) == array
+
+
+@given(arrays(), metres, metres)
+def test_theta_rho_and_chart_agree_in_the_plane_of_the_chart(
+    array: ArrayGeometry, x: float, y: float
+) -> None:
+    """A point in front of the array, on the plane of axis and broadside, is charted where it is."""
+    array = ArrayGeometry.from_dict({**array.as_dict(), "height_m": None})
+    point = np.array(array.position_m) + abs(x) * np.array(array.broadside) + y * np.array(array.axis)
+    theta, rho = array.theta_rho(point)
+    chart = np.array(array.chart_xy(theta, rho))
+    # arccos near the axis turns an error of 1e-16 in the cosine into one of 1e-8 in the angle.
+    tolerance = 1e-6 * (1 + np.hypot(x, y)) + 1e-3 * (np.hypot(x, y) < 1e-3)
+    np.testing.assert_allclose(chart, [abs(x), y], atol=tolerance)
+    np.testing.assert_allclose(array.chart_of(point), [abs(x), y], atol=1e-8 * (1 + np.hypot(x, y)) + 1e-10)
+
+
+def test_theta_grows_from_the_axis() -> None:
+    array = small_array()
+    theta, rho = array.theta_rho(np.array([[0, 5, 0], [5, 0, 0], [0, -5, 0], [0, 0, 0]]))
+    np.testing.assert_allclose(theta, [0, math.pi / 2, math.pi, math.pi / 2])
+    np.testing.assert_allclose(rho, [5, 5, 5, 0])
+
+
+def test_the_height_projects_to_the_ground() -> None:
+    array = small_array(position_m=(0.0, 0.0, 10.0), height_m=8.5)
+    point = np.array([120.0, -50.0, 1.5])
+    x, y = array.chart_xy(*array.theta_rho(point))
+    np.testing.assert_allclose([x, y], [120, -50])
+    x, y = array.chart_xy(np.array(1.5), np.array(3.0))
+    assert x == 0.0
+
+
+def test_elements_stand_along_the_axis() -> None:
+    array = small_array(position_m=(1.0, 2.0, 3.0), element_spacing_m=0.5)
+    np.testing.assert_allclose(array.element_positions(), [[1, 2 + 0.5 * n, 3] for n in range(4)])
+
+
+def test_phases_and_ranges() -> None:
+    array = small_array(element_spacing_m=SPEED_OF_LIGHT / 2e9 / 2)
+    assert array.wavelength_m == pytest.approx(0.149896229)
+    assert array.theta_phase == pytest.approx(math.pi)
+    assert array.unambiguous_rho_m == pytest.approx(959.3358656)
+    assert array.rho_phase * array.unambiguous_rho_m == pytest.approx(-2 * math.pi)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"name": ""}, "name must be a text"),
+        ({"antennas": 0}, "antennas must be a positive whole number"),
+        ({"subcarriers": 4.0}, "subcarriers must be a positive whole number"),
+        ({"carrier_hz": math.nan}, "carrier_hz must be positive"),
+        ({"carrier_hz": math.inf}, "carrier_hz must be positive"),
+        ({"height_m": -1.0}, "height_m must be at least 0"),
+        ({"position_m": (0.0, 1.0)}, "position_m must be 3 numbers"),
+        ({"position_m": (0.0, 1.0, math.nan)}, "position_m must be 3 numbers"),
+        ({"subcarrier_spacing_hz": math.inf}, "subcarrier_spacing_hz must be positive"),
+        ({"element_spacing_m": -1.0}, "element_spacing_m must be positive"),
+        ({"axis": (0.0, 2.0, 0.0)}, "axis must be a unit vector"),
+        ({"axis": (0.0, 1.0)}, "axis must be a unit vector of 3"),
+        ({"broadside": (0.0, 1.0, 0.0)}, "orthogonal"),
+    ],
+)
+def test_what_is_no_array_is_refused(changes: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        small_array(**changes)
+
+
+def accepted(values: dict[str, Any]) -> bool:
+    """Whether the values describe an array; any error but ValueError goes through."""
+    try:
+        ArrayGeometry.from_dict(values)
+    except ValueError:
+        return False
+    return True
+
+
+@given(st.text(), st.none() | st.floats() | st.text())
+def test_an_unknown_field_is_refused(name: str, value: object) -> None:
+    assert not accepted({**small_array().as_dict(), f"my_{name}": value})
+
+
+@pytest.mark.parametrize("name", ["name", "antennas", "subcarriers", "carrier_hz", "element_spacing_m"])
+def test_a_missing_field_is_refused(name: str) -> None:
+    values = small_array().as_dict()
+    del values[name]
+    assert not accepted(values)
+
+
+@given(
+    st.sampled_from([*small_array().as_dict()]),
+    st.none() | st.floats() | st.just(10**400) | st.text() | st.lists(st.floats() | st.text(), max_size=4),
+)
+def test_one_strange_value_is_an_array_or_a_value_error(name: str, value: object) -> None:
+    if accepted({**small_array().as_dict(), name: value}):
+        assert value is not None or name == "height_m"
+
+
+def test_mismatches_name_the_field() -> None:
+    assert small_array().mismatches(small_array(name="other")) == []
+    assert small_array().mismatches(small_array(carrier_hz=2e9 * (1 + 1e-9))) == []
+    [phrase] = small_array().mismatches(small_array(carrier_hz=3e9))
+    assert phrase == "carrier_hz: 2000000000.0 against 3000000000.0"
+    assert len(small_array().mismatches(small_array(antennas=8, height_m=2.0))) == 2
