@@ -77,7 +77,18 @@ def load(path: Path | None = None, overrides: Sequence[str] = ()) -> NodeSetting
     """
     name = str(path or LAB.name)
     path = path or LAB
-    return _Loader(name, _read(path), overrides).settings()
+    return settings_of(_read(path), overrides, name)
+
+
+def settings_of(document: dict[str, Any], overrides: Sequence[str], name: str) -> NodeSettings:
+    """The settings in a parsed TOML document, which is changed on the way; `name` is where it comes from.
+
+    Raises
+    ------
+    ConfigError
+        If it or an override has mistakes: all of them.
+    """
+    return _Loader(name, document, overrides).settings()
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -16,6 +16,7 @@ COMMANDS = {
     "ctl": "ask and steer a running node",
     "import": "turn a capture of another tool into a recording",
     "info": "show what a recording holds",
+    "evaluate": "chart a recording and say how good the chart is",
     "watch": "watch a node's chart in the terminal",
 }
 """Each command and what it does. Its module here, `<name>.py` or `<name>_.py` for a word that Python has

@@ -1,0 +1,127 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from chachart.config.settings import ArraySettings
+from chachart.node.commands.main import main
+from chachart.node.csi import CsiBlock
+from chachart.node.recording import RecordingWriter
+from chachart.sources.base import EndOfSource
+from chachart.sources.simulator import Simulator, SimulatorSettings
+
+UES, FRAMES = 300, 900
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three noisy frames of each of 300 UEs in line of sight."""
+    array = ArraySettings(antennas=16, subcarriers=16, subcarrier_spacing_hz=312500.0).geometry()
+    settings = SimulatorSettings(ues=UES, frames=FRAMES, frame_rate_hz=0.0, snr_db=20.0)
+    path = tmp_path_factory.mktemp("evaluate") / "los.mcap"
+    with RecordingWriter(path, array) as writer, Simulator(settings, array) as source:
+        try:
+            while True:
+                block = source.recv(1.0)
+                if block is not None:
+                    writer.write(block)
+        except EndOfSource:
+            pass
+    return path
+
+
+def test_figures_are_printed_and_written(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report, chart = tmp_path / "quality.json", tmp_path / "chart.png"
+    assert main(["evaluate", str(recording), "--json", str(report), "--chart", str(chart)]) == 0
+    figures = json.loads(report.read_text())
+    assert (figures["frames"], figures["ues"], figures["k"]) == (FRAMES, UES, 15)
+    assert min(figures["tw"], figures["ct"]) > 0.99
+    assert 0 < figures["error_m"] < 10
+    assert 0 < figures["stress"] < 0.05
+    assert figures["seconds"] > 0
+    said = capsys.readouterr().out
+    for words in (
+        f"{FRAMES} frames of {UES} UEs, bartlett/bartlett",
+        f"TW        {figures['tw']:.4f}  (K = 15)",
+    ):
+        assert words in said
+    assert chart.read_bytes().startswith(b"\x89PNG")
+
+
+def test_methods_and_settings(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    report = tmp_path / "quality.json"
+    argv = ["evaluate", str(recording), "--theta", "music", "--rho", "lr", "--json", str(report)]
+    assert main([*argv, "--set", "estimator.lr_train_ues=64", "quality.k=7"]) == 0
+    assert "music/lr" in capsys.readouterr().out
+    assert json.loads(report.read_text())["k"] == 7
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--theta", "music", "--rho", "joint"], 'must be "joint" as rho is'),
+        (["--set", "estimator.teta=music"], 'did you mean "theta"?'),
+        (["--set", "estimator.signal_order=99", "estimator.theta=music"], "[estimator] signal_order"),
+        (["--json", "no/such/folder.json"], "there is no such folder"),
+        (["--chart", "no/such/folder.png"], "there is no such folder"),
+    ],
+)
+def test_what_does_not_fit(
+    recording: Path, options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["evaluate", str(recording), *options]) == 78
+    said = capsys.readouterr().err
+    assert words in said
+    assert len(said.splitlines()) == 1
+
+
+def test_a_picture_of_a_kind_that_there_is_not(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["evaluate", str(recording), "--chart", str(tmp_path / "chart.xyz")]) == 78
+    assert "chart.xyz cannot be written" in capsys.readouterr().err
+
+
+def write(path: Path, csi: np.ndarray, position: np.ndarray | None = None) -> Path:
+    array = ArraySettings(antennas=4, subcarriers=8).geometry()
+    ue = np.arange(len(csi), dtype=np.uint64)
+    times = np.arange(len(csi), dtype=np.int64)
+    with RecordingWriter(path, array) as writer:
+        writer.write(CsiBlock("lab", 0, ue, times, csi.astype(np.complex64), position))
+    return path
+
+
+def test_without_known_positions_there_is_a_chart_but_no_quality(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    csi = np.random.default_rng(1).standard_normal((9, 4, 8, 2)).view(np.complex128)[..., 0]
+    csi[4] = 0
+    path = write(tmp_path / "unknown.mcap", csi)
+    report, chart = tmp_path / "quality.json", tmp_path / "chart.png"
+    assert main(["evaluate", str(path), "--json", str(report), "--chart", str(chart)]) == 0
+    figures = json.loads(report.read_text())
+    assert (figures["tw"], figures["error_m"], figures["ues"]) == (None, None, 8)
+    assert figures["rejected"] == {"zero": 1}
+    said = capsys.readouterr().out
+    assert "only 0 UEs have a known position" in said
+    assert "rejected  1 (zero)" in said
+    assert chart.read_bytes().startswith(b"\x89PNG")
+
+
+def test_more_neighbours_than_the_measure_allows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    csi = np.random.default_rng(1).standard_normal((9, 4, 8, 2)).view(np.complex128)[..., 0]
+    position = np.random.default_rng(2).uniform(1, 100, (9, 3)).astype(np.float32)
+    path = write(tmp_path / "few.mcap", csi, position)
+    assert main(["evaluate", str(path), "--set", "quality.k=5"]) == 0
+    assert "quality   k must be at least 1 and below half the 9 UEs" in capsys.readouterr().out
+
+
+def test_nothing_that_can_be_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path / "zero.mcap", np.zeros((5, 4, 8)))
+    assert main(["evaluate", str(path)]) == 78
+    assert "no frame could be used, of 5 (5 zero)" in capsys.readouterr().err
