@@ -1,0 +1,161 @@
+"""`chachart-node`: runs a node until its source ends, its time is up, or it is told to stop."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import math
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from rich.console import Console
+from rich.live import Live
+from rich.logging import RichHandler
+
+from chachart.config.load import load
+from chachart.node.errors import EX_CONFIG, SetupError
+from chachart.node.runtime import logs
+from chachart.node.runtime.node import Node
+from chachart.node.runtime.panel import line, panel, summary_lines
+from chachart.node.runtime.plan import Plan, check
+
+log = logging.getLogger(__name__)
+
+PANEL_EVERY_S = 0.25
+LINE_EVERY_S = 5.0
+POLL_S = 0.05
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; gives its exit status: 0, 1 (failed while running), 78 (cannot start as told)."""
+    options = _parser().parse_args(arguments)
+    logs.set_up(options.log_format, options.log_level)
+    try:
+        settings = load(options.config, options.set)
+        mistakes = check(settings) + _summary_problems(options.summary)
+        if mistakes:
+            raise SetupError("\n".join(mistakes))
+        if options.check:
+            print(f"{options.config or 'lab.toml'}: nothing wrong")
+            return 0
+        return _run(Plan.of(settings), options)
+    except SetupError as error:
+        print(error, file=sys.stderr)
+        return EX_CONFIG
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="chachart-node",
+        description="Turn the CSI of an antenna array into a live channel chart.",
+        epilog="Without --config the shipped lab.toml is used: a simulated array, published on port 5556.",
+    )
+    parser.add_argument("--config", type=Path, metavar="FILE", help="the node's settings, in TOML")
+    parser.add_argument(
+        "--set",
+        action="extend",
+        nargs="+",
+        default=[],
+        metavar="SECTION.KEY=VALUE",
+        help="change a setting of the file; may be given more than once",
+    )
+    parser.add_argument("--check", action="store_true", help="say what is wrong with the settings, then exit")
+    parser.add_argument("--duration", type=_seconds, metavar="S", help="drain and exit after S seconds")
+    parser.add_argument("--summary", type=Path, metavar="FILE", help="write the summary as JSON")
+    parser.add_argument("--log-format", choices=("text", "json"), default="text")
+    parser.add_argument(
+        "--log-level", choices=("DEBUG", "INFO", "WARNING", "ERROR"), default="INFO", type=str.upper
+    )
+    return parser
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not 0 < seconds < math.inf:
+        raise argparse.ArgumentTypeError(f"must be a positive number of seconds, not {text}")
+    return seconds
+
+
+def _summary_problems(path: Path | None) -> list[str]:
+    if path is None or (path.parent.is_dir() and not path.is_dir() and os.access(path.parent, os.W_OK)):
+        return []
+    return [f"--summary {path}: cannot be written; it must be a file in a directory that is there"]
+
+
+class _Signals:
+    """The first SIGINT or SIGTERM asks for a drain, the second ends everything at once."""
+
+    def __init__(self, node: Node) -> None:
+        self.asked = False
+        self._node = node
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self.asked:
+            self._node.kill()
+            os._exit(128 + number)
+        self.asked = True
+
+
+def _run(plan: Plan, options: argparse.Namespace) -> int:
+    console = Console()
+    live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+    if live is not None and options.log_format == "text":
+        logs.set_up("text", options.log_level, RichHandler(console=console, show_path=False, show_time=False))
+    node = Node(plan, logging.getLevelNamesMapping()[options.log_level])
+    signals = _Signals(node)
+    node.start()
+    for name, where in node.addresses():
+        log.info("%s: %s", name, where)
+    if live is None:
+        _follow(node, signals, options.duration, lambda status: log.info(line(status)), LINE_EVERY_S)
+    else:
+        with live:
+            _follow(
+                node,
+                signals,
+                options.duration,
+                lambda status: live.update(panel(status), refresh=True),
+                PANEL_EVERY_S,
+            )
+    summary = node.close()
+    for text in summary_lines(summary):
+        print(text)
+    if options.summary is not None:
+        options.summary.write_text(json.dumps(summary, indent=2) + "\n")
+    if node.failure is not None:
+        print(node.failure, file=sys.stderr)
+        return 1
+    return 0
+
+
+def _follow(
+    node: Node,
+    signals: _Signals,
+    duration: float | None,
+    show: Callable[[dict[str, Any]], None],
+    every_s: float,
+) -> None:
+    """Show the status every so often, and tell the node to stop when it is time."""
+    next_show, stopping = time.monotonic() + every_s, False
+    while not node.wait(POLL_S):
+        status = node.status()
+        if not stopping and (signals.asked or (duration is not None and status["seconds"] >= duration)):
+            stopping = True
+            log.info("draining")
+            node.stop()
+        if time.monotonic() >= next_show:
+            next_show += every_s
+            show(status)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

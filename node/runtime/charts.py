@@ -1,0 +1,70 @@
+"""Where chart updates arrive in the main process: the table, the latency, and the sinks."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from chachart.config.settings import EstimatorSettings
+from chachart.node.chart import ChartUpdate
+from chachart.node.runtime.latency import Latency
+from chachart.node.runtime.processor import FrameClock
+from chachart.node.runtime.sink_thread import SinkThread
+from chachart.node.runtime.table import ChartTable
+
+LATENCY_WINDOW_S = 5.0
+
+
+class Charts:
+    """Takes updates from the workers and hands them on. One thread calls `take` and `tick`.
+
+    Attributes
+    ----------
+    table
+        The chart as it stands.
+    sinks
+        Everybody who wants updates.
+    latency
+        Over the whole run.
+    """
+
+    def __init__(self, estimator: EstimatorSettings) -> None:
+        self.table = ChartTable(estimator.max_ues)
+        self.sinks: list[SinkThread] = []
+        self.latency = Latency()
+        self.clock = FrameClock(live=False)
+        self._forget_after_ns = int((estimator.forget_after_s or 0) * 1e9)
+        self._window = Latency()
+        self._window_ends = 0.0
+        self._recent_ms = self._window.percentiles_ms()
+
+    def take(self, update: ChartUpdate, arrival: float, frames: int) -> None:
+        """An update whose first frame came in at `arrival` (monotonic seconds)."""
+        self.table.update(update)
+        self.clock.see(int(update.time_ns.max()))
+        for sink in self.sinks:
+            sink.put(update)
+        seconds = time.monotonic() - arrival
+        self.latency.add(seconds, frames)
+        self._window.add(seconds, frames)
+
+    def tick(self) -> None:
+        """Forget UEs unseen for too long."""
+        now_ns = self.clock.now_ns()
+        if self._forget_after_ns and now_ns is not None:
+            self.table.forget(now_ns - self._forget_after_ns)
+
+    def report(self, kind: str, values: dict[str, Any]) -> None:
+        """Hand a `quality` or `status` report to all sinks."""
+        for sink in self.sinks:
+            sink.report(kind, values)
+
+    def recent_latency_ms(self) -> dict[str, float | None]:
+        """Percentiles over the last seconds."""
+        now = time.monotonic()
+        if now >= self._window_ends:
+            self._recent_ms = self._window.percentiles_ms()
+            self._window, self._window_ends = Latency(), now + LATENCY_WINDOW_S
+        if self._recent_ms["p50"] is None:
+            return self._window.percentiles_ms()
+        return self._recent_ms

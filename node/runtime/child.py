@@ -1,0 +1,140 @@
+"""How the node's child processes start and end.
+
+A child is a plain `python -m` process, never forked: its settings come as one line of JSON on stdin, its log
+records go out as lines of JSON on stderr. It ignores SIGINT and SIGTERM, which a terminal sends to the whole
+group, and obeys the main process; when stdin ends, the main process is dead and the child goes too.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import logging
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from typing import Any
+
+log = logging.getLogger(__name__)
+
+ONE_THREAD = dict.fromkeys(
+    ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS"), "1"
+)
+"""BLAS must not fight the workers for the cores; these count only when set before numpy is loaded."""
+
+
+class Child:
+    """A running child process.
+
+    Parameters
+    ----------
+    name
+        What the log calls it.
+    module
+        What to run.
+    settings
+        Plain values for `read_settings`; `log_level` and `directory` (of the sockets) are among them.
+    """
+
+    def __init__(self, name: str, module: str, settings: dict[str, Any]) -> None:
+        self.name = name
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module],
+            stdin=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            env={**os.environ, **ONE_THREAD},
+        )
+        self._reader = threading.Thread(target=self._relay_log, name=f"{name} log", daemon=True)
+        self._reader.start()
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps(settings).encode() + b"\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            log.error("%s ended before it had its settings", name)
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    def exit_code(self) -> int | None:
+        """None while it runs; minus the signal's number where one killed it."""
+        return self._process.poll()
+
+    def wait(self, timeout: float) -> bool:
+        """Whether it has ended within `timeout` seconds."""
+        try:
+            self._process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+    def kill(self) -> None:
+        """End it now."""
+        self._process.kill()
+
+    def close(self, timeout: float = 1.0) -> None:
+        """Make sure that it has ended (killed after `timeout` seconds), and let go of its pipes."""
+        if not self.wait(timeout):
+            self.kill()
+            self._process.wait()
+        self._reader.join(timeout=1.0)
+        for pipe in (self._process.stdin, self._process.stderr):
+            if pipe is not None:
+                pipe.close()
+
+    def _relay_log(self) -> None:
+        assert self._process.stderr is not None
+        for line in self._process.stderr:
+            text = line.decode(errors="replace").rstrip()
+            try:
+                level, logger, message = json.loads(text)
+            except ValueError:
+                level, logger, message = logging.ERROR, __name__, text
+            logging.getLogger(logger).log(level, "%s: %s", self.name, message)
+
+
+def read_settings() -> dict[str, Any]:
+    """In a child: take up the settings, ignore the terminal's signals, follow the main process in death."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    settings: dict[str, Any] = json.loads(sys.stdin.buffer.readline())
+    handler = _JsonLines()
+    handler.setFormatter(logging.Formatter("%(message)s"))
+    logging.basicConfig(level=settings["log_level"], handlers=[handler])
+    follow = threading.Thread(
+        target=_follow_parent, args=(settings["directory"],), name="parent watch", daemon=True
+    )
+    follow.start()
+    return settings
+
+
+def class_path(cls: type) -> str:
+    """How a child finds a class again: `module:name`."""
+    return f"{cls.__module__}:{cls.__qualname__}"
+
+
+def load_class(path: str) -> Any:
+    """The class that `class_path` named."""
+    module, _, name = path.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def _follow_parent(directory: str) -> None:
+    while os.read(sys.stdin.fileno(), 4096):
+        pass
+    shutil.rmtree(directory, ignore_errors=True)
+    os._exit(1)
+
+
+class _JsonLines(logging.Handler):
+    """Log records as [level, logger, message] on stderr, for `Child` to read."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        sys.stderr.write(json.dumps([record.levelno, record.name, self.format(record)]) + "\n")
+        sys.stderr.flush()

@@ -1,0 +1,86 @@
+"""The sinks that take the CSI itself: those of the configuration, and a recording started while running."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+from chachart.config.registry import sink_class
+from chachart.node.errors import SetupError
+from chachart.node.geometry import ArrayGeometry
+from chachart.node.runtime.reader import Reader
+from chachart.node.runtime.sink_thread import SinkThread
+from chachart.sinks.base import Sink
+
+QUEUE_BLOCKS = 64
+STOP_WITHIN_S = 10.0
+
+
+class CsiSinks:
+    """Opens sinks, hooks them to the reader, and closes them.
+
+    Parameters
+    ----------
+    reader
+        Whose `sinks` get the blocks.
+    array
+        The array.
+    lossless
+        Whether a slow sink makes the reader wait.
+    """
+
+    def __init__(self, reader: Reader, array: ArrayGeometry, lossless: bool) -> None:
+        self._reader = reader
+        self._array = array
+        self._lossless = lossless
+        self._recording: SinkThread | None = None
+        self._lock = threading.Lock()
+
+    def add(self, cls: type[Sink], settings: dict[str, Any]) -> SinkThread:
+        """Open a sink; it gets every block from now on.
+
+        Raises
+        ------
+        SetupError
+            If it cannot be opened.
+        """
+        values = cls.Settings.model_validate(settings)
+        thread = SinkThread(cls(values, self._array), values.type, QUEUE_BLOCKS, self._lossless)
+        thread.open(None)
+        self._reader.sinks = (*self._reader.sinks, thread)
+        return thread
+
+    def record(self, arguments: dict[str, Any]) -> dict[str, Any]:
+        """Start ({on: true, path}) or stop ({on: false}) a recording; {result} or {error}."""
+        with self._lock:
+            recording = self._recording
+            if not arguments["on"]:
+                if recording is None:
+                    return {"error": "no recording is running"}
+                self._recording = None
+                self._reader.sinks = tuple(s for s in self._reader.sinks if s is not recording)
+                recording.close(STOP_WITHIN_S)
+                return {"result": {"on": False, **recording.status()}}
+            if recording is not None:
+                return {"error": f"already recording to {recording.sink.where()}"}
+            try:
+                self._recording = self.add(
+                    sink_class("recorder"), {"type": "recorder", "path": arguments["path"]}
+                )
+            except (SetupError, ValueError) as error:
+                return {"error": str(error).splitlines()[0]}
+            return {"result": {"on": True, **self._recording.status()}}
+
+    def status(self) -> list[dict[str, Any]]:
+        """Counts for the node's status report."""
+        return [sink.status() for sink in self._reader.sinks]
+
+    def recording(self) -> str | None:
+        """Where a recording started by `record` goes, if one runs."""
+        recording = self._recording
+        return None if recording is None else recording.sink.where()
+
+    def close(self, timeout: float) -> None:
+        """Let all sinks finish what waits, within `timeout` seconds each, and close them."""
+        for sink in self._reader.sinks:
+            sink.close(timeout)

@@ -1,0 +1,99 @@
+"""The shards' queues as the feeder's two threads share them: the reader puts, the dispatcher takes."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from chachart.node.counters import Counters
+from chachart.node.runtime.partition import Piece
+from chachart.node.runtime.shard_queue import Entry, ShardQueue
+
+
+class Lanes:
+    """One `ShardQueue` per worker behind one lock.
+
+    Parameters
+    ----------
+    queues
+        The shards' queues.
+    lossless
+        Whether `put` waits for room.
+    wake
+        Called when there is something new to take.
+    """
+
+    def __init__(self, queues: list[ShardQueue], lossless: bool, wake: Callable[[], None]) -> None:
+        self._queues = queues
+        self._lossless = lossless
+        self._wake = wake
+        self._condition = threading.Condition()
+        self._abandoned: str | None = None
+
+    def put(self, piece: Piece) -> None:
+        """Add a block; waits for room where nothing may be dropped."""
+        queue = self._queues[piece.shard]
+        with self._condition:
+            while self._lossless and queue.full and self._abandoned is None:
+                self._condition.wait()
+            queue.put(piece)
+            if self._abandoned is not None:
+                queue.abandon(self._abandoned)
+        self._wake()
+
+    def take(self, shard: int) -> Entry | None:
+        """The next block for the worker of `shard`, if it has credit."""
+        with self._condition:
+            entry = self._queues[shard].next_to_send()
+            if entry is not None:
+                self._condition.notify_all()
+            return entry
+
+    def acknowledge(self, shard: int, seq: int, estimated: int, dropped: Mapping[str, int]) -> Piece | None:
+        """See `ShardQueue.acknowledge`."""
+        with self._condition:
+            return self._queues[shard].acknowledge(seq, estimated, dropped)
+
+    def worker_lost(self, shard: int) -> int:
+        """See `ShardQueue.worker_lost`."""
+        with self._condition:
+            return self._queues[shard].worker_lost()
+
+    def abandon(self, reason: str) -> None:
+        """Drop all that is held, and whatever is still put, and count it."""
+        with self._condition:
+            self._abandoned = reason
+            for queue in self._queues:
+                queue.abandon(reason)
+            self._condition.notify_all()
+
+    def settle(self, frames_in: int, reason: str) -> None:
+        """Count as dropped what came in and is neither estimated, dropped nor held."""
+        with self._condition:
+            held = sum(queue.frames_held for queue in self._queues)
+            known = sum(queue.frames_estimated + queue.dropped.total() for queue in self._queues)
+            if missing := frames_in - held - known:
+                self._queues[0].dropped.add(reason, missing)
+
+    @property
+    def empty(self) -> bool:
+        """Whether no block waits or is unacknowledged."""
+        with self._condition:
+            return not any(queue.blocks_held for queue in self._queues)
+
+    def totals(self) -> tuple[int, Counters, list[dict[str, Any]]]:
+        """Frames estimated, frames dropped, and each shard's backlog."""
+        dropped = Counters()
+        with self._condition:
+            for queue in self._queues:
+                dropped.merge(queue.dropped.as_dict())
+            shards = [
+                {
+                    "frames_estimated": queue.frames_estimated,
+                    "backlog_frames": queue.frames_held,
+                    "backlog_blocks": queue.blocks_held,
+                }
+                for queue in self._queues
+            ]
+            return sum(queue.frames_estimated for queue in self._queues), dropped, shards

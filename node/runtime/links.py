@@ -1,0 +1,63 @@
+"""The main process's end of the node's inner sockets, in a private directory that is gone afterwards."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import threading
+from pathlib import Path
+from typing import Any
+
+import zmq
+
+from chachart.node.runtime import messages
+
+
+class Links:
+    """Results from the feeder, commands to it.
+
+    Attributes
+    ----------
+    directory
+        Where the sockets are; nobody else may look into it.
+    endpoints
+        `workers`, `results` and `commands`: Unix sockets, whose paths must stay short (107 bytes).
+    """
+
+    def __init__(self) -> None:
+        self.directory = Path(tempfile.mkdtemp(prefix="chachart-"))
+        names = ("workers", "results", "commands")
+        self.endpoints = {name: f"ipc://{self.directory / name}" for name in names}
+        self._context = zmq.Context()
+        self._results = self._context.socket(zmq.PULL)
+        self._results.bind(self.endpoints["results"])
+        self._commands = self._context.socket(zmq.PUSH)
+        self._commands.connect(self.endpoints["commands"])
+        self._lock = threading.Lock()
+
+    def receive(self, timeout: float) -> list[list[bytes]]:
+        """All results that are there, after waiting at most `timeout` seconds for the first."""
+        received: list[list[bytes]] = []
+        if self._results.poll(int(timeout * 1e3)):
+            try:
+                while True:
+                    received.append(self._results.recv_multipart(zmq.NOBLOCK))
+            except zmq.Again:
+                pass
+        return received
+
+    def command(self, kind: bytes, values: dict[str, Any]) -> None:
+        """Tell the feeder something; safe to call from any thread, does nothing once closed."""
+        with self._lock:
+            if not self._commands.closed:
+                self._commands.send_multipart([kind, messages.pack(values)])
+
+    def remove_directory(self) -> None:
+        """Take the directory away; what is left when everything must end at once."""
+        shutil.rmtree(self.directory, ignore_errors=True)
+
+    def close(self) -> None:
+        """Close the sockets and take the directory away."""
+        with self._lock:
+            self._context.destroy(linger=0)
+        self.remove_directory()

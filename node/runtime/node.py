@@ -1,0 +1,326 @@
+"""A running node: its processes, and the loop in the main process that ties everything together."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from typing import Any
+
+from chachart.node.chart import ChartUpdate
+from chachart.node.errors import SetupError
+from chachart.node.runtime import messages
+from chachart.node.runtime.charts import Charts
+from chachart.node.runtime.child import Child, class_path
+from chachart.node.runtime.links import Links
+from chachart.node.runtime.plan import Plan
+from chachart.node.runtime.quality_watch import QualityWatch
+from chachart.node.runtime.requests import PendingRequests, chart_columns, ue_list, validate
+from chachart.node.runtime.sink_thread import SinkThread
+from chachart.node.runtime.status import NodeStatus, Rates, summary
+from chachart.node.runtime.supervisor import Supervisor
+
+log = logging.getLogger(__name__)
+
+DRAIN_WITHIN_S = 10.0
+START_WITHIN_S = 60.0
+LOOP_S = 0.05
+STATUS_EVERY_S = 0.5
+SINK_QUEUE = 512
+CLOSE_WITHIN_S = 5.0
+WORKERS_CLOSE_WITHIN_S = 2.0
+
+
+class Node:
+    """Runs a plan: `start`, then `wait` until it has ended (or `stop` it), then `close`.
+
+    It is also the `NodeAccess` that sinks get.
+
+    Attributes
+    ----------
+    failure
+        Why the node ended before its time, or None.
+    closed
+        Whether nothing of it is left.
+    """
+
+    def __init__(self, plan: Plan, log_level: int = logging.INFO) -> None:
+        self.failure: str | None = None
+        self._plan = plan
+        self._log_level = log_level
+        self._links = Links()
+        self._charts = Charts(plan.estimator)
+        self._quality = QualityWatch(
+            plan.quality, plan.array, self.chart, lambda report: self._charts.report("quality", report)
+        )
+        self._pending = PendingRequests(lambda values: self._links.command(messages.REQUEST, values))
+        self._supervisor = Supervisor(plan.workers.count, self._start_worker, self._worker_died)
+        self._feeder: Child | None = None
+        self._method: dict[str, str] = {"theta": plan.estimator.theta, "rho": plan.estimator.rho}
+        self._state = "starting"
+        self._fed: dict[str, Any] = {}
+        self._rates = Rates()
+        self._status: dict[str, Any] = NodeStatus(array=plan.array.name).as_dict()
+        self._started_at: float | None = None
+        self._seconds = 0.0
+        self.closed = False
+        self._give_up_at: float | None = None
+        self._setup_error: str | None = None
+        self._ready = threading.Event()
+        self._finished = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="node", daemon=True)
+
+    def start(self) -> None:
+        """Start the processes, open source and sinks, and begin to read.
+
+        Raises
+        ------
+        SetupError
+            If something the plan asks for cannot be; everything is closed again then.
+        """
+        try:
+            self._feeder = Child("feeder", "chachart.node.runtime.feeder", self._feeder_settings())
+            self._supervisor.check()
+            for sink_class, settings in self._plan.sinks:
+                if not sink_class.wants_csi:
+                    sink = SinkThread(sink_class(settings, self._plan.array), settings.type, SINK_QUEUE)
+                    sink.open(self)
+                    self._charts.sinks.append(sink)
+            self._thread.start()
+            self._ready.wait(START_WITHIN_S)
+            if self._setup_error is not None:
+                raise SetupError(self._setup_error)
+            self._links.command(messages.GO, {})
+            self._quality.start()
+        except SetupError:
+            self._finished.set()
+            self.kill()
+            self._close_parts()
+            raise
+
+    def stop(self, within_s: float = DRAIN_WITHIN_S) -> None:
+        """Read no further and drain; what is left after `within_s` seconds is dropped and counted."""
+        if self._give_up_at is None:
+            self._state = "draining"
+            self._give_up_at = time.monotonic() + within_s + CLOSE_WITHIN_S
+            self._links.command(messages.STOP, {"within_s": within_s})
+
+    def wait(self, timeout: float) -> bool:
+        """Whether the node has drained within `timeout` seconds."""
+        return self._finished.wait(timeout)
+
+    @property
+    def feeder_pid(self) -> int | None:
+        """Process id of the feeder."""
+        return None if self._feeder is None else self._feeder.pid
+
+    def addresses(self) -> list[tuple[str, str]]:
+        """Where a person finds what the chart's sinks give, by sink."""
+        places = ((sink.name, sink.sink.where()) for sink in self._charts.sinks)
+        return [(name, where) for name, where in places if where]
+
+    def kill(self) -> None:
+        """End all child processes at once; a node that is killed leaves no summary."""
+        self._supervisor.kill()
+        if self._feeder is not None:
+            self._feeder.kill()
+        self._links.remove_directory()
+
+    def close(self) -> dict[str, Any]:
+        """After `wait` said so: close everything; gives the summary."""
+        self._thread.join()
+        self._quality.finish()
+        self._state = "stopped"
+        self._update_status()
+        self._charts.report("status", self._status)
+        self._close_parts()
+        return summary(self._status, self._charts.latency.percentiles_ms())
+
+    def chart(self) -> ChartUpdate | None:
+        """See `NodeAccess`."""
+        return self._charts.table.chart()
+
+    def status(self) -> dict[str, Any]:
+        """See `NodeAccess`."""
+        return self._status
+
+    def quality(self) -> dict[str, Any] | None:
+        """See `NodeAccess`."""
+        return self._quality.latest
+
+    def request(self, operation: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        """See `NodeAccess` and `chachart.node.runtime.requests`."""
+        arguments = validate(self._plan, self._method, operation, arguments)
+        if operation == "status":
+            return self.status()
+        if operation == "ues":
+            return ue_list(self.chart())
+        if operation == "chart":
+            return chart_columns(self.chart())
+        result = self._pending.ask(operation, arguments)
+        if operation == "set_method":
+            self._method = result
+            log.info("theta by %s, rho by %s from now on", result["theta"], result["rho"])
+        return result
+
+    def _run(self) -> None:
+        try:
+            self._serve()
+        except Exception as error:
+            log.exception("the node's loop failed")
+            self._give_up(f"the node's loop failed: {error}")
+
+    def _serve(self) -> None:
+        next_status = 0.0
+        while not self._finished.is_set():
+            for kind, body, *rest in self._links.receive(LOOP_S):
+                self._handle(kind, messages.unpack(body), rest)
+            self._look_after_children()
+            now = time.monotonic()
+            if now >= next_status:
+                next_status = now + STATUS_EVERY_S
+                self._charts.tick()
+                self._update_status()
+                self._charts.report("status", self._status)
+
+    def _handle(self, kind: bytes, values: dict[str, Any], rest: list[bytes]) -> None:
+        if kind == messages.UPDATE:
+            self._charts.take(messages.unpack_update(rest[0]), values["arrival"], values["frames"])
+        elif kind == messages.STATUS:
+            self._fed = values
+        elif kind == messages.REPLY:
+            self._pending.answer(values)
+        elif kind == messages.HELLO:
+            self._supervisor.hello(values["shard"])
+        elif kind == messages.READY:
+            self._charts.clock.live = not values["lossless"]
+            self._ready.set()
+        elif kind == messages.STARTED:
+            self._started_at = time.monotonic()
+            self._state = "running" if self._give_up_at is None else self._state
+            log.info("frames are read")
+        elif kind == messages.SETUP_ERROR:
+            self._setup_error = values["message"]
+            self._give_up(values["message"])
+        elif kind == messages.DRAINED:
+            self._fed = values
+            self.failure = self.failure or values["failure"]
+            self._end()
+
+    def _look_after_children(self) -> None:
+        if self._finished.is_set() or self._feeder is None:
+            return
+        if (reason := self._supervisor.check()) is not None:
+            self._give_up(reason)
+        elif (code := self._feeder.exit_code()) is not None:
+            for kind, body, *rest in self._links.receive(LOOP_S):
+                self._handle(kind, messages.unpack(body), rest)
+            if not self._finished.is_set():
+                self._give_up(f"the feeder process died (exit code {code})")
+        elif self._give_up_at is not None and time.monotonic() >= self._give_up_at:
+            self._give_up("the feeder process did not drain in time")
+
+    def _give_up(self, reason: str) -> None:
+        """End without a drain; what is not accounted for is counted as dropped."""
+        self.failure = reason
+        self._setup_error = self._setup_error or reason
+        fed = self._fed
+        if fed:
+            lost = fed["frames_in"] - fed["frames_estimated"] - sum(fed["dropped"].values())
+            fed["dropped"] = {**fed["dropped"], "node_failed": lost}
+        if self._feeder is not None:
+            self._feeder.kill()
+        self._supervisor.kill()
+        self._end()
+
+    def _end(self) -> None:
+        self._seconds = self._run_time()
+        self._finished.set()
+        self._ready.set()
+
+    def _run_time(self) -> float:
+        if self._started_at is None:
+            return 0.0
+        return self._seconds or time.monotonic() - self._started_at
+
+    def _update_status(self) -> None:
+        fed, table = self._fed, self._charts.table
+        frames_in, estimated = fed.get("frames_in", 0), fed.get("frames_estimated", 0)
+        rates = self._rates.add(time.monotonic(), frames_in, estimated)
+        empty: list[dict[str, Any]] = [{} for _ in self._supervisor.posts]
+        workers = [
+            {"shard": post.shard, "restarts": post.restarts, "pid": None, "ues": 0, **worker}
+            for post, worker in zip(self._supervisor.posts, fed.get("workers", empty), strict=True)
+        ]
+        self._status = NodeStatus(
+            state=self._state,
+            array=self._plan.array.name,
+            source=self._plan.source_settings.type,
+            method=self._method,
+            lossless=not self._charts.clock.live,
+            seconds=self._run_time(),
+            frames_in=frames_in,
+            frames_estimated=estimated,
+            backlog_frames=sum(worker.get("backlog_frames", 0) for worker in workers),
+            frames_in_per_s=rates[0],
+            frames_estimated_per_s=rates[1],
+            dropped=fed.get("dropped", {}),
+            rejected=fed.get("rejected", {}),
+            gaps=fed.get("gaps", 0),
+            out_of_order=fed.get("out_of_order", 0),
+            ues=len(table),
+            ues_evicted=table.evicted,
+            ues_forgotten=table.forgotten,
+            latency_ms=self._charts.recent_latency_ms(),
+            latency_histogram=self._charts.latency.histogram(),
+            quality=self._quality.latest,
+            workers=workers,
+            sinks=[sink.status() for sink in self._charts.sinks] + fed.get("csi_sinks", []),
+            recording=fed.get("recording"),
+            source_details=fed.get("source", {}),
+        ).as_dict()
+
+    def _close_parts(self) -> None:
+        for sink in self._charts.sinks:
+            sink.close(CLOSE_WITHIN_S)
+        if self._feeder is not None:
+            self._feeder.close(CLOSE_WITHIN_S)
+        self._supervisor.close(WORKERS_CLOSE_WITHIN_S)
+        if self._thread.ident is not None:
+            self._thread.join()
+        self._links.close()
+        self.closed = True
+
+    def _feeder_settings(self) -> dict[str, Any]:
+        plan = self._plan
+        return {
+            "log_level": self._log_level,
+            "directory": str(self._links.directory),
+            "sockets": self._links.endpoints,
+            "array": plan.array.as_dict(),
+            "source": {
+                "class": class_path(plan.source),
+                "settings": plan.source_settings.model_dump(mode="json"),
+            },
+            "workers": {**plan.workers.model_dump(mode="json"), "block_frames": plan.block_frames},
+            "estimator": {"theta": plan.estimator.theta, "rho": plan.estimator.rho},
+            "csi_sinks": [
+                {"class": class_path(sink), "settings": settings.model_dump(mode="json")}
+                for sink, settings in plan.sinks
+                if sink.wants_csi
+            ],
+        }
+
+    def _start_worker(self, shard: int) -> Child:
+        settings = {
+            "log_level": self._log_level,
+            "directory": str(self._links.directory),
+            "workers": self._links.endpoints["workers"],
+            "shard": shard,
+            "array": self._plan.array.as_dict(),
+            "estimator": self._plan.worker_estimator(),
+        }
+        return Child(f"worker {shard}", "chachart.node.runtime.worker", settings)
+
+    def _worker_died(self, shard: int, pid: int) -> None:
+        self._links.command(messages.LOST, {"shard": shard, "pid": pid})

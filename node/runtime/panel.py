@@ -1,0 +1,113 @@
+"""The status of a node for people: one live panel in a terminal, one line in a pipe, a summary at the end."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+_STATE_STYLE = {"running": "green", "starting": "yellow", "draining": "yellow", "stopped": "dim"}
+
+
+def panel(status: dict[str, Any]) -> Panel:
+    """A status report (`chachart.node.runtime.status.NodeStatus`) as a panel."""
+    figures = Table.grid(padding=(0, 3))
+    for _ in range(4):
+        figures.add_column(justify="left", no_wrap=True)
+    latency, quality = status["latency_ms"], status["quality"] or {}
+    cells = [
+        ("frames in", f"{status['frames_in_per_s']:,.0f}/s"),
+        ("estimates", f"{status['frames_estimated_per_s']:,.0f}/s"),
+        ("UEs", f"{status['ues']:,}"),
+        ("backlog", f"{status['backlog_frames']:,} frames"),
+        ("latency p50", _ms(latency.get("p50"))),
+        ("latency p99", _ms(latency.get("p99"))),
+        ("TW", _figure(quality.get("tw"))),
+        ("CT", _figure(quality.get("ct"))),
+        ("frames in all", f"{status['frames_in']:,}"),
+        ("estimated", f"{status['frames_estimated']:,}"),
+        ("dropped", counts(status["dropped"])),
+        ("rejected", counts(status["rejected"])),
+    ]
+    for start in range(0, len(cells), 4):
+        row = [
+            Text.assemble((f"{name} ", "dim"), (value, "bold")) for name, value in cells[start : start + 4]
+        ]
+        figures.add_row(*row)
+    parts: list[RenderableType] = [figures, Text()]
+    parts += [_worker(worker) for worker in status["workers"]]
+    parts += [
+        Text.assemble((f"{sink['name']} ", "dim"), sink["where"], _lost(sink))
+        for sink in status["sinks"]
+        if sink["where"]
+    ]
+    method = status["method"]
+    title = Text.assemble(
+        f" {status['array']} · ",
+        (status["state"], _STATE_STYLE.get(status["state"], "")),
+        f" · {method.get('theta')}/{method.get('rho')} · {status['seconds']:.0f} s ",
+    )
+    return Panel(Group(*parts), title=title, subtitle=" Ctrl-C drains and ends ", title_align="left")
+
+
+def line(status: dict[str, Any]) -> str:
+    """A status report as one line for a log."""
+    latency, quality = status["latency_ms"], status["quality"] or {}
+    return (
+        f"{status['state']}: {status['frames_in_per_s']:.0f} frames/s in, "
+        f"{status['frames_estimated_per_s']:.0f} estimated/s, {status['ues']} UEs, "
+        f"backlog {status['backlog_frames']}, dropped {counts(status['dropped'])}, "
+        f"latency p50 {_ms(latency.get('p50'))} p99 {_ms(latency.get('p99'))}, "
+        f"TW {_figure(quality.get('tw'))} CT {_figure(quality.get('ct'))}"
+    )
+
+
+def summary_lines(summary: dict[str, Any]) -> list[str]:
+    """What a node prints when it has ended."""
+    quality, seconds = summary["quality"], summary["seconds"]
+    rate = summary["frames_estimated"] / seconds if seconds else 0.0
+    lines = [
+        f"frames in {summary['frames_in']}, estimated {summary['frames_estimated']}, "
+        f"dropped {counts(summary['dropped'])}, rejected {counts(summary['rejected'])}",
+        f"{seconds:.2f} s, {rate:.0f} frames/s, {summary['ues']} UEs, "
+        f"latency p50 {_ms(summary['latency_ms']['p50'])} p99 {_ms(summary['latency_ms']['p99'])}, "
+        f"worker restarts {summary['worker_restarts']}",
+    ]
+    if quality is not None:
+        lines.append(f"TW {_figure(quality['tw'])} CT {_figure(quality['ct'])} (K = {quality['k']})")
+    return lines
+
+
+def counts(by_reason: dict[str, int]) -> str:
+    """`12 (queue_full 10, worker_lost 2)`, or `0`.
+
+    >>> counts({"queue_full": 10, "worker_lost": 2})
+    '12 (queue_full 10, worker_lost 2)'
+    """
+    listed = ", ".join(f"{reason} {n}" for reason, n in sorted(by_reason.items()) if n)
+    return f"{sum(by_reason.values())} ({listed})" if listed else "0"
+
+
+def _worker(worker: dict[str, Any]) -> Text:
+    absent = worker["pid"] is None
+    return Text.assemble(
+        (f"worker {worker['shard']} ", "dim"),
+        ("restarting", "yellow") if absent else f"process {worker['pid']}",
+        f", {worker['ues']:,} UEs, backlog {worker.get('backlog_frames', 0):,}, ",
+        f"restarts {worker['restarts']}",
+    )
+
+
+def _lost(sink: dict[str, Any]) -> tuple[str, str]:
+    return (f"  dropped {counts(sink['dropped'])}", "red") if sink["dropped"] else ("", "")
+
+
+def _ms(value: float | None) -> str:
+    return "–" if value is None else f"{value:.1f} ms"
+
+
+def _figure(value: float | None) -> str:
+    return "–" if value is None else f"{value:.4f}"

@@ -1,0 +1,109 @@
+"""Cutting a stream of blocks into blocks per shard. Pure: no sockets, no threads, the clock is passed in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from chachart.node.csi import CsiBlock
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece:
+    """A block for one shard and when its first frame came in (monotonic seconds)."""
+
+    shard: int
+    block: CsiBlock
+    arrival: float
+
+
+@dataclass(slots=True)
+class _Pending:
+    blocks: list[CsiBlock] = field(default_factory=list)
+    frames: int = 0
+    arrival: float = 0.0
+
+
+def shard_of(ue: NDArray[np.uint64], shards: int) -> NDArray[np.intp]:
+    """The shard that each UE belongs to for good: splitmix64 of its number, modulo `shards`."""
+    z = ue + np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z ^= z >> np.uint64(31)
+    return (z % np.uint64(shards)).astype(np.intp)
+
+
+class Partitioner:
+    """Blocks of any size in, blocks of at most `block_frames` frames of one shard out.
+
+    Frames of one UE keep their order. A block leaves when it is full, or by `due` when its first frame has
+    waited `linger_s`. With one shard, whole blocks pass through as views, without a copy.
+    """
+
+    def __init__(self, shards: int, block_frames: int, linger_s: float) -> None:
+        self._shards = shards
+        self._block_frames = block_frames
+        self._linger = linger_s
+        self._pending = [_Pending() for _ in range(shards)]
+
+    def add(self, block: CsiBlock, now: float) -> list[Piece]:
+        """Take a block that came in at `now`; gives the blocks that are full."""
+        if self._shards == 1:
+            return list(self._extend(0, block, now))
+        shard = shard_of(block.ue, self._shards)
+        order = np.argsort(shard, kind="stable")
+        ends = np.searchsorted(shard[order], np.arange(self._shards + 1))
+        pieces: list[Piece] = []
+        for s in range(self._shards):
+            if ends[s] < ends[s + 1]:
+                pieces += self._extend(s, block.take(order[ends[s] : ends[s + 1]]), now)
+        return pieces
+
+    def due(self, now: float) -> list[Piece]:
+        """The blocks whose first frame has waited long enough at `now`."""
+        return [
+            self._emit(s)
+            for s, pending in enumerate(self._pending)
+            if pending.frames and now >= pending.arrival + self._linger
+        ]
+
+    def deadline(self) -> float | None:
+        """When `due` will next have something to give, or None if nothing waits."""
+        arrivals = [p.arrival for p in self._pending if p.frames]
+        return min(arrivals) + self._linger if arrivals else None
+
+    def flush(self) -> list[Piece]:
+        """Everything that waits, now."""
+        return [self._emit(s) for s, pending in enumerate(self._pending) if pending.frames]
+
+    def _extend(self, shard: int, block: CsiBlock, now: float) -> Iterator[Piece]:
+        start = 0
+        while start < len(block):
+            pending = self._pending[shard]
+            stop = min(len(block), start + self._block_frames - pending.frames)
+            if not pending.frames:
+                pending.arrival = now
+            pending.blocks.append(_cut(block, start, stop))
+            pending.frames += stop - start
+            start = stop
+            if pending.frames == self._block_frames:
+                yield self._emit(shard)
+
+    def _emit(self, shard: int) -> Piece:
+        pending = self._pending[shard]
+        self._pending[shard] = _Pending()
+        return Piece(shard, CsiBlock.concatenate(pending.blocks), pending.arrival)
+
+
+def _cut(block: CsiBlock, start: int, stop: int) -> CsiBlock:
+    """Frames start..stop as views."""
+    if stop - start == len(block):
+        return block
+    rows = slice(start, stop)
+    position = None if block.position is None else block.position[rows]
+    return CsiBlock(
+        block.array, block.seq + start, block.ue[rows], block.time_ns[rows], block.csi[rows], position
+    )

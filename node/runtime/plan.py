@@ -1,0 +1,138 @@
+"""What a node is going to do: its settings with every class found and the array settled."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from chachart.config.load import NodeSettings
+from chachart.config.registry import sink_class, source_class
+from chachart.config.settings import ArraySettings, EstimatorSettings, QualitySettings, WorkersSettings
+from chachart.node.errors import SetupError
+from chachart.node.estimation.estimator import ChartEstimator
+from chachart.node.geometry import ArrayGeometry
+from chachart.sinks.base import Sink, SinkSettings
+from chachart.sources.base import Source, SourceSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Everything a node needs to start.
+
+    Attributes
+    ----------
+    array
+        The one from `[array]`, or the one that the source carries.
+    source, source_settings, sinks
+        Classes with their settings.
+    estimator, workers, quality
+        The other sections of the configuration.
+    """
+
+    array: ArrayGeometry
+    source: type[Source]
+    source_settings: SourceSettings
+    estimator: EstimatorSettings
+    workers: WorkersSettings
+    quality: QualitySettings
+    sinks: tuple[tuple[type[Sink], SinkSettings], ...]
+
+    @classmethod
+    def of(cls, settings: NodeSettings) -> Plan:
+        """The plan that carries out `settings`.
+
+        Raises
+        ------
+        SetupError
+            If a source or sink is unknown, or the array is not clear.
+        """
+        source = source_class(settings.source.type)
+        return cls(
+            resolve_array(settings.array, source, settings.source),
+            source,
+            settings.source,
+            settings.estimator,
+            settings.workers,
+            settings.quality,
+            tuple((sink_class(sink.type), sink) for sink in settings.sinks),
+        )
+
+    def problems(self) -> list[str]:
+        """What would keep the node from starting, as far as can be told without starting it."""
+        found = list(self.source.problems(self.source_settings))
+        for sink, settings in self.sinks:
+            found += sink.problems(settings)
+        found += estimator_problems(self.array, self.estimator)
+        return list(dict.fromkeys(found))
+
+    @property
+    def block_frames(self) -> int:
+        """Frames in a block; never more than the UEs that a worker may hold."""
+        return min(self.workers.block_frames, int(self.worker_estimator()["max_ues"]))
+
+    def worker_estimator(self) -> dict[str, Any]:
+        """ChartEstimator's arguments for each worker, which gets its share of the UEs.
+
+        A hash spreads UEs over workers only on average: a worker has room for four standard deviations more.
+        """
+        count, whole = self.workers.count, self.estimator
+        share = whole.max_ues / count
+        spread = 0.0 if count == 1 else 4 * math.sqrt(share)
+        values = whole.model_dump(mode="json")
+        values["max_ues"] = min(whole.max_ues, math.ceil(share + spread))
+        values["lr_train_ues"] = max(2, math.ceil(whole.lr_train_ues / count))
+        return values
+
+
+def resolve_array(
+    configured: ArraySettings | None, source: type[Source], source_settings: SourceSettings
+) -> ArrayGeometry:
+    """The array that the source measures with.
+
+    Raises
+    ------
+    SetupError
+        If neither the configuration nor the source describes one, or both do and differ.
+    """
+    carried = source.carried_array(source_settings)
+    if configured is None:
+        if carried is None:
+            raise SetupError(
+                f'[array] is missing: source "{source_settings.type}" does not say what array it has'
+            )
+        return carried
+    try:
+        array = configured.geometry()
+    except ValueError as error:
+        raise SetupError(f"[array]: {error}") from None
+    if carried is not None and (differences := array.mismatches(carried)):
+        raise SetupError(
+            f'[array] does not fit source "{source_settings.type}": {"; ".join(differences)} '
+            "(leave [array] out to take the source's)"
+        )
+    return array
+
+
+def check(settings: NodeSettings) -> list[str]:
+    """Every mistake in `settings` that can be told without starting the node."""
+    try:
+        return Plan.of(settings).problems()
+    except SetupError as error:
+        return list(dict.fromkeys([*_problems_apart_from_array(settings), str(error)]))
+
+
+def _problems_apart_from_array(settings: NodeSettings) -> Iterator[str]:
+    yield from source_class(settings.source.type).problems(settings.source)
+    for sink in settings.sinks:
+        yield from sink_class(sink.type).problems(sink)
+
+
+def estimator_problems(array: ArrayGeometry, estimator: EstimatorSettings) -> list[str]:
+    """Why no estimator can be made from these settings for this array; nothing if one can."""
+    try:
+        ChartEstimator(array, **{**estimator.model_dump(), "max_ues": 1})
+    except ValueError as error:
+        return [f"[estimator]: {error}"]
+    return []

@@ -1,0 +1,141 @@
+"""What a worker does with a block. No socket in here: it runs inline as well as in a process of its own."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from chachart.node.chart import ChartUpdate
+from chachart.node.csi import CsiBlock
+from chachart.node.errors import RequestError
+from chachart.node.estimation.estimator import ChartEstimator
+from chachart.node.geometry import ArrayGeometry
+
+log = logging.getLogger(__name__)
+
+FORGETS_PER_PERIOD = 10
+"""How often per `forget_after_s` unseen UEs are looked for."""
+
+
+class FrameClock:
+    """The time of the newest frame; where `live`, it goes on at the host's pace while none come.
+
+    Parameters
+    ----------
+    live
+        False for recordings: their time is that of their frames, however fast they are replayed.
+    monotonic
+        The host's clock, in seconds.
+    """
+
+    def __init__(self, live: bool, monotonic: Callable[[], float] = time.monotonic) -> None:
+        self.live = live
+        self._monotonic = monotonic
+        self._newest_ns: int | None = None
+        self._seen = 0.0
+
+    def see(self, newest_ns: int) -> None:
+        """A frame of that time came in."""
+        if self._newest_ns is None or newest_ns >= self._newest_ns:
+            self._newest_ns, self._seen = newest_ns, self._monotonic()
+
+    def now_ns(self) -> int | None:
+        """The time, or None before the first frame."""
+        if self._newest_ns is None or not self.live:
+            return self._newest_ns
+        return self._newest_ns + int((self._monotonic() - self._seen) * 1e9)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What became of a block: its update, if any frame could be estimated, and what was dropped."""
+
+    update: ChartUpdate | None
+    estimated: int
+    dropped: dict[str, int]
+
+
+class BlockProcessor:
+    """Blocks of one shard in, chart updates out.
+
+    Parameters
+    ----------
+    array, estimator
+        The array, and ChartEstimator's other arguments (the fields of EstimatorSettings).
+    clock
+        What tells when UEs have been unseen for too long.
+
+    Attributes
+    ----------
+    untrained
+        Rows held back because a method that must be trained was not, so far.
+    """
+
+    def __init__(self, array: ArrayGeometry, estimator: Mapping[str, Any], clock: FrameClock) -> None:
+        self._estimator = ChartEstimator(array, **estimator)
+        self._forget_after_ns = int((estimator.get("forget_after_s") or 0) * 1e9)
+        self._next_forget_ns: int | None = None
+        self._rejected: dict[str, int] = {}
+        self.clock = clock
+        self.untrained = 0
+
+    @property
+    def ues(self) -> int:
+        """UEs that the estimator holds."""
+        return self._estimator.ues
+
+    def process(self, block: CsiBlock) -> Outcome:
+        """Estimate; the update has one row for each UE of the block of which a frame could be used."""
+        self.clock.see(int(block.time_ns.max()))
+        try:
+            update = self._estimator.update(block)
+        except Exception:
+            log.exception("a block of %d frames could not be estimated", len(block))
+            return Outcome(None, 0, {"estimation_failed": len(block)})
+        dropped = self._newly_rejected()
+        self.untrained += dropped.pop("untrained", 0)
+        return Outcome(update if len(update) else None, len(block) - sum(dropped.values()), dropped)
+
+    def forget(self) -> None:
+        """Let go of UEs unseen for too long; cheap to call often."""
+        now_ns = self.clock.now_ns()
+        if not self._forget_after_ns or now_ns is None:
+            return
+        if self._next_forget_ns is None or now_ns >= self._next_forget_ns:
+            self._estimator.forget(now_ns)
+            self._next_forget_ns = now_ns + self._forget_after_ns // FORGETS_PER_PERIOD
+
+    def _newly_rejected(self) -> dict[str, int]:
+        before, self._rejected = self._rejected, self._estimator.rejected.as_dict()
+        new = {reason: n - before.get(reason, 0) for reason, n in self._rejected.items()}
+        return {reason: n for reason, n in new.items() if n}
+
+    def request(self, operation: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        """`spectrum` {ue} or `set_method` {theta, rho}.
+
+        Raises
+        ------
+        RequestError
+            If the UE or the operation is unknown, or the methods do not fit.
+        """
+        if operation == "spectrum":
+            spectrum = self._estimator.spectrum(int(arguments["ue"]))
+            if spectrum is None:
+                raise RequestError(f"UE {arguments['ue']} is not on the chart")
+            return {key: _plain(value) for key, value in spectrum.items()}
+        if operation == "set_method":
+            try:
+                self._estimator.set_method(arguments["theta"], arguments["rho"])
+            except ValueError as error:
+                raise RequestError(str(error)) from None
+            return {"theta": arguments["theta"], "rho": arguments["rho"]}
+        raise RequestError(f"a worker knows no operation {operation!r}")
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

@@ -1,0 +1,120 @@
+"""The thread that reads the source, feeds the CSI sinks, and cuts the stream into blocks per shard."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from typing import Any
+
+from chachart.node.counters import Counters
+from chachart.node.csi import CsiBlock
+from chachart.node.runtime.lanes import Lanes
+from chachart.node.runtime.partition import Partitioner, Piece
+from chachart.node.runtime.sink_thread import SinkThread
+from chachart.sources.base import EndOfSource, Source
+
+log = logging.getLogger(__name__)
+
+RECV_TIMEOUT_S = 0.1
+
+
+class Reader:
+    """Reads an open source until it ends, fails, or `stop` is called.
+
+    Attributes
+    ----------
+    frames_in, blocks_in
+        What came in and had the right shape.
+    rejected
+        What had not; the source's own rejects are with the source.
+    order
+        `gaps`: frames missing by the source's numbering; `out_of_order`: frames that came late.
+    failure
+        Why the source failed, where it did.
+    """
+
+    def __init__(self, source: Source, partitioner: Partitioner, lanes: Lanes) -> None:
+        self.frames_in = 0
+        self.blocks_in = 0
+        self.rejected = Counters()
+        self.order = Counters()
+        self.failure: str | None = None
+        self.sinks: tuple[SinkThread, ...] = ()
+        self._source = source
+        self._partitioner = partitioner
+        self._lanes = lanes
+        self._expected: int | None = None
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="reader", daemon=True)
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Read no further; what was read is still passed on."""
+        self._stopping.set()
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more will come."""
+        return self._thread.ident is not None and not self._thread.is_alive()
+
+    def join(self, timeout: float) -> None:
+        """Wait for the end."""
+        self._thread.join(timeout)
+
+    def status(self) -> dict[str, Any]:
+        """Counts for the node's status report."""
+        rejected = Counters()
+        rejected.merge(self.rejected.as_dict())
+        rejected.merge(self._source.rejected.as_dict())
+        return {
+            "frames_in": self.frames_in,
+            "blocks_in": self.blocks_in,
+            "rejected": rejected.as_dict(),
+            **{"gaps": 0, "out_of_order": 0, **self.order.as_dict()},
+        }
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping.is_set():
+                self._step()
+        except EndOfSource:
+            log.info("the source has ended")
+        except Exception as error:
+            self.failure = f"the source failed: {error}"
+            log.exception("the source failed")
+        finally:
+            self._pass_on(self._partitioner.flush())
+
+    def _step(self) -> None:
+        deadline = self._partitioner.deadline()
+        wait = RECV_TIMEOUT_S if deadline is None else deadline - time.monotonic()
+        block = self._source.recv(min(max(wait, 0.0), RECV_TIMEOUT_S))
+        now = time.monotonic()
+        if block is not None and self._fits(block):
+            for sink in self.sinks:
+                sink.put(block)
+            self._pass_on(self._partitioner.add(block, now))
+        self._pass_on(self._partitioner.due(now))
+
+    def _fits(self, block: CsiBlock) -> bool:
+        array = self._source.array
+        if (block.antennas, block.subcarriers) != (array.antennas, array.subcarriers):
+            self.rejected.add("shape", len(block))
+            return False
+        if self._expected is not None and block.seq != self._expected:
+            late = block.seq < self._expected
+            self.order.add(
+                "out_of_order" if late else "gaps", len(block) if late else block.seq - self._expected
+            )
+        self._expected = max(block.seq + len(block), self._expected or 0)
+        self.frames_in += len(block)
+        self.blocks_in += 1
+        return True
+
+    def _pass_on(self, pieces: list[Piece]) -> None:
+        for piece in pieces:
+            self._lanes.put(piece)

@@ -1,0 +1,150 @@
+"""What a running node can be asked to do.
+
+========== ============ ==================================================================================
+operation  arguments    answer
+========== ============ ==================================================================================
+status                  `chachart.node.runtime.status.NodeStatus`
+ues                     {ues: [{ue, time_ns, theta, rho, theta_std, rho_std, x, y, snr, snapshots}, ...]}
+chart                   the body of a chart message (protocol 1), {} before the first estimate
+spectrum   ue           {theta_grid_rad, theta_spectrum, rho_grid_m, rho_spectrum, theta, rho, ...}
+set_method theta, rho   {theta, rho}; holds from the next block on, no frame is lost
+record     on, path     {on, where, received, dropped}; path is needed to start, not to stop
+========== ============ ==================================================================================
+"""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import fields
+from typing import Any
+
+import msgpack
+from pydantic import ValidationError
+
+from chachart.node.chart import ChartUpdate
+from chachart.node.errors import RequestError
+from chachart.node.runtime.plan import Plan, estimator_problems
+from chachart.node.wire import encode_chart
+
+TIMEOUT_S = 5.0
+
+Arguments = dict[str, Any]
+_ARGUMENTS = {
+    "status": (),
+    "ues": (),
+    "chart": (),
+    "spectrum": ("ue",),
+    "set_method": ("theta", "rho"),
+    "record": ("on", "path"),
+}
+
+
+def validate(plan: Plan, method: dict[str, str], operation: str, arguments: Arguments) -> Arguments:
+    """The arguments, complete and of the right kinds; `method` is the one in use.
+
+    Raises
+    ------
+    RequestError
+        If the operation or an argument is unknown, missing or does not fit.
+    """
+    if operation not in _ARGUMENTS:
+        raise RequestError(f"there is no operation {operation!r}, only {', '.join(_ARGUMENTS)}")
+    known = _ARGUMENTS[operation]
+    if unknown := sorted(set(arguments) - set(known)):
+        takes = ", ".join(known) or "no arguments"
+        raise RequestError(f"{operation} takes {takes}, not {', '.join(unknown)}")
+    if operation == "spectrum":
+        ue = arguments.get("ue")
+        if type(ue) is not int or not 0 <= ue < 2**64:
+            raise RequestError(f"ue must be a whole number below 2**64, not {ue!r}"[:200])
+    elif operation == "set_method":
+        return _methods(plan, {**method, **arguments})
+    elif operation == "record":
+        on, path = arguments.get("on"), arguments.get("path")
+        if type(on) is not bool:
+            raise RequestError(f"on must be true or false, not {on!r}"[:200])
+        if on and (type(path) is not str or not path):
+            raise RequestError(f"path must name the file to record to, not {path!r}"[:200])
+    return arguments
+
+
+def _methods(plan: Plan, arguments: Arguments) -> Arguments:
+    wanted = {**plan.estimator.model_dump(), **arguments}
+    try:
+        estimator = type(plan.estimator).model_validate(wanted)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise RequestError(
+            f"{'.'.join(map(str, first['loc']))} = {first['input']!r}: {first['msg']}"[:300]
+        ) from None
+    if problems := estimator_problems(plan.array, estimator):
+        raise RequestError(problems[0])
+    return {"theta": estimator.theta, "rho": estimator.rho}
+
+
+def ue_list(chart: ChartUpdate | None) -> dict[str, Any]:
+    """The answer to `ues`."""
+    if chart is None:
+        return {"ues": []}
+    names = [f.name for f in fields(chart)[2:-1]]
+    rows = zip(*(getattr(chart, name).tolist() for name in names), strict=True)
+    return {"ues": [dict(zip(names, row, strict=True)) for row in rows]}
+
+
+def chart_columns(chart: ChartUpdate | None) -> dict[str, Any]:
+    """The answer to `chart`: what subscribers get, as a map."""
+    if chart is None:
+        return {}
+    body: dict[str, Any] = msgpack.unpackb(encode_chart(chart, 0))
+    return body
+
+
+class PendingRequests:
+    """Requests that are on their way through the node. Thread-safe.
+
+    Parameters
+    ----------
+    send
+        Sends {id, operation, arguments} towards the workers.
+    """
+
+    def __init__(self, send: Callable[[dict[str, Any]], None]) -> None:
+        self._send = send
+        self._ids = itertools.count()
+        self._waiting: dict[int, Future[dict[str, Any]]] = {}
+        self._lock = threading.Lock()
+
+    def ask(self, operation: str, arguments: Arguments) -> dict[str, Any]:
+        """Send the request and wait for its answer.
+
+        Raises
+        ------
+        RequestError
+            If it is answered with an error, or not in time.
+        """
+        future: Future[dict[str, Any]] = Future()
+        with self._lock:
+            number = next(self._ids)
+            self._waiting[number] = future
+        try:
+            self._send({"id": number, "operation": operation, "arguments": arguments})
+            answer = future.result(TIMEOUT_S)
+        except TimeoutError:
+            raise RequestError(f"{operation} was not answered within {TIMEOUT_S:.0f} s") from None
+        finally:
+            with self._lock:
+                del self._waiting[number]
+        if "error" in answer:
+            raise RequestError(answer["error"])
+        result: dict[str, Any] = answer["result"]
+        return result
+
+    def answer(self, values: dict[str, Any]) -> None:
+        """An answer came: the first one counts, one that nobody waits for does not."""
+        with self._lock:
+            future = self._waiting.get(values["id"])
+            if future is not None and not future.done():
+                future.set_result(values)

@@ -1,0 +1,110 @@
+"""The node's report about itself, and the summary it leaves behind."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+RATE_WINDOW_S = 2.0
+
+
+@dataclass(slots=True)
+class NodeStatus:
+    """What `NodeAccess.status`, the `status.<array>` topic and the request `status` give, as plain values.
+
+    Attributes
+    ----------
+    state
+        `starting`, `running`, `draining` or `stopped`.
+    array, source, method
+        Name of the array, type of the source, {theta, rho}.
+    lossless
+        Whether the source waits (True) or the oldest waiting block is dropped (False).
+    seconds
+        Since reading began.
+    frames_in, frames_estimated, backlog_frames
+        Came in; estimated; waiting or unacknowledged. After a drain
+        frames_in = frames_estimated + sum(dropped).
+    frames_in_per_s, frames_estimated_per_s
+        Over the last seconds.
+    dropped, rejected
+        Frames that were lost on the way, and input that was no usable frame, by reason.
+    gaps, out_of_order
+        Frames missing and frames late by the source's own numbering.
+    ues, ues_evicted, ues_forgotten
+        UEs on the chart, UEs that made room for others, UEs unseen for too long.
+    latency_ms
+        {p50, p99, p99_9} from a frame's arrival to its estimate's hand-over to the sinks, last seconds.
+    latency_histogram
+        {le_s, frames (cumulative), total, sum_s} since the start.
+    quality
+        The latest quality report, or None.
+    workers
+        One map each: {shard, pid, restarts, ues, frames_estimated, backlog_frames, backlog_blocks}; pid is
+        None while there is no worker.
+    sinks
+        One map each: {name, where, received, dropped, errors}.
+    recording
+        Where a recording that was started by request goes, or None.
+    source_details
+        What the source tells about itself.
+    """
+
+    state: str = "starting"
+    array: str = ""
+    source: str = ""
+    method: dict[str, str] = field(default_factory=dict)
+    lossless: bool = False
+    seconds: float = 0.0
+    frames_in: int = 0
+    frames_estimated: int = 0
+    backlog_frames: int = 0
+    frames_in_per_s: float = 0.0
+    frames_estimated_per_s: float = 0.0
+    dropped: dict[str, int] = field(default_factory=dict)
+    rejected: dict[str, int] = field(default_factory=dict)
+    gaps: int = 0
+    out_of_order: int = 0
+    ues: int = 0
+    ues_evicted: int = 0
+    ues_forgotten: int = 0
+    latency_ms: dict[str, float | None] = field(default_factory=dict)
+    latency_histogram: dict[str, Any] = field(default_factory=dict)
+    quality: dict[str, Any] | None = None
+    workers: list[dict[str, Any]] = field(default_factory=list)
+    sinks: list[dict[str, Any]] = field(default_factory=list)
+    recording: str | None = None
+    source_details: dict[str, Any] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self)
+
+
+def summary(status: dict[str, Any], latency_ms: dict[str, float | None]) -> dict[str, Any]:
+    """What `--summary` writes: the final status, shortened, with the whole run's latency."""
+    keys = ("array", "source", "method", "frames_in", "frames_estimated", "dropped", "rejected", "gaps")
+    return {
+        **{key: status[key] for key in (*keys, "out_of_order", "ues", "ues_evicted", "ues_forgotten")},
+        "seconds": round(status["seconds"], 3),
+        "quality": status["quality"],
+        "latency_ms": latency_ms,
+        "worker_restarts": sum(worker["restarts"] for worker in status["workers"]),
+        "sinks": status["sinks"],
+    }
+
+
+class Rates:
+    """Counts per second over the last `RATE_WINDOW_S`."""
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[float, tuple[int, ...]]] = deque()
+
+    def add(self, now: float, *counts: int) -> list[float]:
+        """The counts at `now`; gives the rate of each."""
+        self._samples.append((now, counts))
+        while len(self._samples) > 2 and self._samples[1][0] <= now - RATE_WINDOW_S:
+            self._samples.popleft()
+        then, before = self._samples[0]
+        return [(a - b) / (now - then) if now > then else 0.0 for a, b in zip(counts, before, strict=True)]

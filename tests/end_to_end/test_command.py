@@ -1,0 +1,185 @@
+"""`chachart-node` as somebody would run it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from node_runs import Running, adds_up, until
+
+RunNode = Callable[..., Running]
+
+LIVE = """
+[array]
+antennas = 8
+subcarriers = 4
+[source]
+type = "simulator"
+ues = 50
+frame_rate_hz = 2000
+[workers]
+count = 2
+[quality]
+every_s = 0.5
+"""
+
+
+def replay(capture: Path, more: str = "") -> str:
+    return f'[source]\ntype = "recording"\npath = "{capture}"\nspeed = 0\n{more}'
+
+
+def busy(node: Running) -> None:
+    """Wait until it estimates."""
+    until(lambda: len(node.children("worker")) > 0 or node.process.poll() is not None, "workers start")
+    until(lambda: "frames are read" in node.said() or node.process.poll() is not None, "it reads")
+
+
+def gone(pids: list[int]) -> bool:
+    return not any(Path(f"/proc/{pid}").exists() for pid in pids)
+
+
+def test_a_recording_that_ends_ends_the_node(run_node: RunNode, capture: Path) -> None:
+    node = run_node(replay(capture))
+    assert node.finish() == 0
+    summary = node.summary()
+    assert summary["frames_in"] == summary["frames_estimated"] == 1000
+    assert set(summary) >= {"dropped", "rejected", "seconds", "quality", "latency_ms", "worker_restarts"}
+    assert set(summary["quality"]) >= {"tw", "ct", "k"}
+    assert "frames in 1000, estimated 1000, dropped 0" in node.said()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_first_signal_drains(run_node: RunNode, number: int, tmp_path: Path) -> None:
+    node = run_node(LIVE)
+    busy(node)
+    children = node.children("")
+    node.signal(number)
+    assert node.finish() == 0
+    summary = node.summary()
+    assert adds_up(summary)
+    assert "drain_deadline" not in summary["dropped"]
+    assert gone(children)
+    assert list(tmp_path.glob("chachart-*")) == []
+
+
+def test_the_second_signal_ends_it_at_once(run_node: RunNode, capture: Path, tmp_path: Path) -> None:
+    node = run_node(replay(capture, "loops = 0"))
+    busy(node)
+    children = node.children("")
+    for pid in node.children("worker"):
+        os.kill(pid, signal.SIGSTOP)
+    node.signal(signal.SIGINT)
+    until(lambda: "draining" in node.said(), "the drain begins")
+    node.signal(signal.SIGINT)
+    assert node.finish() == 128 + signal.SIGINT
+    until(lambda: gone(children), "the children are gone")
+    assert list(tmp_path.glob("chachart-*")) == []
+
+
+def test_children_follow_the_main_process_in_death(run_node: RunNode, tmp_path: Path) -> None:
+    node = run_node(LIVE)
+    busy(node)
+    children = node.children("")
+    assert len(children) == 3
+    node.signal(signal.SIGKILL)
+    node.finish()
+    until(lambda: gone(children), "the children are gone")
+    assert list(tmp_path.glob("chachart-*")) == []
+
+
+def test_children_leave_the_terminals_signals_to_the_main_process(run_node: RunNode) -> None:
+    node = run_node(LIVE, "--set", "workers.count=1")
+    busy(node)
+    for pid in node.children(""):
+        os.kill(pid, signal.SIGINT)
+        os.kill(pid, signal.SIGTERM)
+    node.signal(signal.SIGINT)
+    assert node.finish() == 0
+    assert node.summary()["worker_restarts"] == 0
+
+
+def test_kill_9_of_a_worker_under_live_load(run_node: RunNode) -> None:
+    node = run_node(LIVE)
+    busy(node)
+    victim = node.children("worker")[0]
+    os.kill(victim, signal.SIGKILL)
+    until(lambda: f"(process {victim}) died: killed by SIGKILL; restarting" in node.said(), "it says so")
+    until(lambda: len(node.children("worker")) == 2, "the successor starts")
+    node.signal(signal.SIGINT)
+    assert node.finish() == 0
+    summary = node.summary()
+    assert summary["worker_restarts"] == 1
+    assert adds_up(summary)
+    assert set(summary["dropped"]) <= {"worker_lost", "queue_full"}
+    assert summary["frames_estimated"] > 0
+
+
+def test_duration_ends_it(run_node: RunNode) -> None:
+    node = run_node(LIVE, "--duration", "0.5", "--log-format", "json")
+    assert node.finish() == 0
+    assert node.summary()["seconds"] >= 0.5
+    assert adds_up(node.summary())
+    records = [json.loads(line) for line in node.said().splitlines() if line.startswith("{")]
+    assert {"time", "level", "logger", "message"} <= set(records[0])
+
+
+@pytest.mark.parametrize("arguments", [("--check",), ()])
+def test_mistakes_are_told_at_once_and_without_traceback(
+    run_node: RunNode, capture: Path, arguments: tuple[str, ...]
+) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        endpoint = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
+        text = f"""
+[source]
+type = "recording"
+path = "nowhere.mcap"
+[[sinks]]
+type = "publisher"
+endpoint = "{endpoint}"
+"""
+        node = run_node(text, *arguments)
+        assert node.finish() == 78
+    said = node.said()
+    assert "nowhere.mcap" in said
+    assert endpoint in said
+    assert "Traceback" not in said
+
+
+def test_an_array_that_differs_from_the_recordings(run_node: RunNode, capture: Path) -> None:
+    node = run_node("[array]\nantennas = 32\nsubcarriers = 8\n" + replay(capture), "--check")
+    assert node.finish() == 78
+    assert "antennas: 32 against 16" in node.said()
+    assert "Traceback" not in node.said()
+
+
+def test_no_array_at_all(run_node: RunNode) -> None:
+    node = run_node('[source]\ntype = "simulator"\n', "--check")
+    assert node.finish() == 78
+    assert "[array] is missing" in node.said()
+
+
+def test_check_of_a_good_configuration(run_node: RunNode, capture: Path) -> None:
+    node = run_node(replay(capture), "--check")
+    assert node.finish() == 0
+    assert "nothing wrong" in node.said()
+    assert not node.summary_file.exists()
+
+
+@pytest.mark.parametrize("arguments", [("--duration", "-1"), ("--duration", "soon"), ("--dance",)])
+def test_wrong_arguments(run_node: RunNode, arguments: tuple[str, ...]) -> None:
+    node = run_node(LIVE, *arguments)
+    assert node.finish() == 2
+    assert "Traceback" not in node.said()
+
+
+def test_a_summary_that_cannot_be_written(run_node: RunNode, tmp_path: Path) -> None:
+    node = run_node(LIVE, "--check", "--summary", str(tmp_path / "no" / "such.json"))
+    assert node.finish() == 78
+    assert "such.json: cannot be written" in node.said()

@@ -1,0 +1,247 @@
+"""The node's main loop inside this process, its children as processes of their own."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import odd_sources
+import pytest
+from node_runs import ARRAY, DEADLINE_S, adds_up, capture_blocks, until
+
+from chachart.config.settings import EstimatorSettings, QualitySettings, WorkersSettings
+from chachart.node.csi import CsiBlock
+from chachart.node.errors import RequestError, SetupError
+from chachart.node.estimation.estimator import ChartEstimator
+from chachart.node.recording import RecordingReader
+from chachart.node.runtime.node import Node
+from chachart.node.runtime.plan import Plan
+from chachart.sources.recording import Recording, RecordingSettings
+
+MakeNode = Callable[..., Node]
+
+
+@pytest.fixture
+def make_node(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[MakeNode]:
+    """Nodes on the capture or, with `odd`, on a source that misbehaves; what still runs is killed."""
+    monkeypatch.setenv("PYTHONPATH", str(Path(odd_sources.__file__).parent))
+    nodes = []
+
+    def make(
+        odd: str | None = None,
+        loops: int = 1,
+        estimator: dict[str, Any] | None = None,
+        **workers: Any,
+    ) -> Node:
+        source: Any = (Recording, RecordingSettings(path=capture, speed=0, loops=loops))
+        if odd is not None:
+            source = (odd_sources.Odd, odd_sources.OddSettings.model_validate({"type": "odd", "odd": odd}))
+        node = Node(
+            Plan(
+                ARRAY,
+                *source,
+                EstimatorSettings(**{"averaging": "mean", **(estimator or {})}),
+                WorkersSettings(**workers),
+                QualitySettings(every_s=0.2, k=5),
+                (),
+            )
+        )
+        nodes.append(node)
+        return node
+
+    yield make
+    for node in nodes:
+        if not node.closed:
+            node.stop(0.1)
+            node.close()
+
+
+def run(node: Node) -> dict[str, Any]:
+    node.start()
+    assert node.wait(DEADLINE_S)
+    return node.close()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_replay_estimates_every_frame_as_the_library_does(make_node: MakeNode, workers: int) -> None:
+    node = make_node(count=workers, block_frames=16)
+    summary = run(node)
+    frames = CsiBlock.concatenate(capture_blocks())
+    assert summary["frames_in"] == summary["frames_estimated"] == len(frames)
+    assert summary["dropped"] == summary["rejected"] == {}
+    assert (summary["gaps"], summary["out_of_order"]) == (0, 0)
+    expected = ChartEstimator(ARRAY, averaging="mean").update(frames)
+    chart = node.chart()
+    assert chart is not None
+    chart, expected = chart.take(np.argsort(chart.ue)), expected.take(np.argsort(expected.ue))
+    np.testing.assert_array_equal(chart.ue, expected.ue)
+    np.testing.assert_allclose(chart.theta, expected.theta, atol=1e-4)
+    np.testing.assert_allclose(chart.rho, expected.rho, rtol=1e-3)
+    np.testing.assert_array_equal(chart.snapshots, expected.snapshots)
+    assert summary["quality"]["tw"] > 0.9
+    assert summary["latency_ms"]["p99"] > 0
+
+
+def test_kill_9_under_load_loses_nothing_of_a_recording(
+    make_node: MakeNode, caplog: pytest.LogCaptureFixture
+) -> None:
+    node = make_node(loops=0, count=2, block_frames=16)
+    node.start()
+    for kill in range(2):
+        until(lambda: all(w["pid"] and w["backlog_frames"] for w in node.status()["workers"]), "both work")
+        os.kill(node.status()["workers"][kill]["pid"], signal.SIGKILL)
+        restarts = kill + 1
+        until(lambda n=restarts: sum(w["restarts"] for w in node.status()["workers"]) == n, "restart")
+        before = node.status()["workers"][kill]["frames_estimated"]
+        until(
+            lambda k=kill, b=before: node.status()["workers"][k]["frames_estimated"] > b + 1000,
+            "the successor works",
+        )
+    node.stop()
+    assert node.wait(DEADLINE_S)
+    summary = node.close()
+    assert summary["frames_in"] == summary["frames_estimated"] > 2000
+    assert summary["dropped"] == {}
+    assert summary["worker_restarts"] == 2
+    assert "worker 0 (process" in caplog.text
+    assert "killed by SIGKILL" in caplog.text
+
+
+def test_what_a_drain_does_not_finish_in_time_is_counted(make_node: MakeNode) -> None:
+    node = make_node(loops=0, block_frames=16)
+    node.start()
+    until(lambda: node.status()["frames_estimated"], "frames are estimated")
+    [worker] = node.status()["workers"]
+    os.kill(worker["pid"], signal.SIGSTOP)
+    until(lambda: node.status()["backlog_frames"], "frames wait")
+    node.stop(0.2)
+    assert node.wait(DEADLINE_S)
+    summary = node.close()
+    assert summary["dropped"]["drain_deadline"] > 0
+    assert adds_up(summary)
+
+
+@pytest.mark.parametrize(("odd", "message"), [("open", "not plugged in"), ("crash", "feeder process died")])
+def test_a_source_that_cannot_open_ends_the_start(make_node: MakeNode, odd: str, message: str) -> None:
+    node = make_node(odd)
+    with pytest.raises(SetupError, match=message):
+        node.start()
+
+
+def test_a_source_that_fails_ends_the_node_and_counts_add_up(make_node: MakeNode) -> None:
+    node = make_node("recv")
+    summary = run(node)
+    assert node.failure is not None
+    assert "unplugged" in node.failure
+    assert summary["frames_in"] == summary["frames_estimated"] == odd_sources.FRAMES * odd_sources.BLOCKS // 2
+
+
+def test_frames_of_another_shape_are_rejected(make_node: MakeNode) -> None:
+    summary = run(make_node("shape"))
+    assert summary["rejected"] == {"shape": odd_sources.FRAMES}
+    assert summary["frames_in"] == odd_sources.FRAMES * (odd_sources.BLOCKS - 1)
+    assert adds_up(summary)
+
+
+def test_gaps_and_late_frames_are_counted(make_node: MakeNode) -> None:
+    summary = run(make_node("order"))
+    assert (summary["gaps"], summary["out_of_order"]) == (odd_sources.FRAMES, odd_sources.FRAMES)
+
+
+def test_a_dead_feeder_ends_the_node(make_node: MakeNode) -> None:
+    node = make_node(loops=0)
+    node.start()
+    until(lambda: node.status()["frames_estimated"], "frames are estimated")
+    os.kill(node.feeder_pid, signal.SIGKILL)
+    assert node.wait(DEADLINE_S)
+    assert node.failure is not None
+    assert "feeder process died" in node.failure
+    assert adds_up(node.close())
+
+
+def test_at_most_max_ues_stay_on_the_chart(make_node: MakeNode) -> None:
+    summary = run(make_node(estimator={"max_ues": 7}))
+    assert summary["ues"] == 7
+    assert summary["ues_evicted"] > 0
+    assert summary["frames_in"] == summary["frames_estimated"]
+
+
+def test_requests_while_it_runs(make_node: MakeNode, tmp_path: Path) -> None:
+    node = make_node(loops=0, count=2)
+    node.start()
+    until(lambda: node.status()["ues"] == 40, "all UEs are on the chart")
+    assert node.request("status", {})["state"] == "running"
+    assert sorted(row["ue"] for row in node.request("ues", {})["ues"]) == list(range(40))
+    assert len(node.request("chart", {})["theta"]) == 40
+    for ue in range(4):
+        assert len(node.request("spectrum", {"ue": ue})["theta_spectrum"]) > 0
+    assert node.request("set_method", {"theta": "music"}) == {"theta": "music", "rho": "bartlett"}
+    assert node.request("set_method", {"rho": "isq"}) == {"theta": "music", "rho": "isq"}
+    until(lambda: _methods(node) == ("music", "isq"), "the new methods are in use")
+    until(lambda: node.status()["workers"][0]["pid"], "worker 0 is there")
+    os.kill(node.status()["workers"][0]["pid"], signal.SIGKILL)
+    until(lambda: node.status()["workers"][0]["restarts"] == 1, "restart")
+    until(lambda: node.status()["workers"][0]["ues"] > 0, "the successor works")
+    node.stop()
+    assert node.wait(DEADLINE_S)
+    assert _methods(node) == ("music", "isq")
+    summary = node.close()
+    assert summary["frames_in"] == summary["frames_estimated"]
+
+
+def test_a_recording_is_started_and_stopped_by_request(make_node: MakeNode, tmp_path: Path) -> None:
+    node = make_node(loops=0)
+    node.start()
+    path = tmp_path / "by-request.mcap"
+    assert node.request("record", {"on": True, "path": str(path)})["on"]
+    with pytest.raises(RequestError, match="already recording"):
+        node.request("record", {"on": True, "path": str(path)})
+    until(lambda: (node.status()["recording"] or "").startswith(str(tmp_path)), "status tells")
+    frames = node.status()["frames_in"]
+    until(lambda: node.status()["frames_in"] > frames + 500, "frames are recorded")
+    answer = node.request("record", {"on": False})
+    assert (answer["on"], answer["dropped"]) == (False, {})
+    with pytest.raises(RequestError, match="no recording"):
+        node.request("record", {"on": False})
+    node.stop()
+    assert node.wait(DEADLINE_S)
+    node.close()
+    recorded = [RecordingReader(file).summary() for file in tmp_path.glob("by-request*.mcap")]
+    assert sum(summary.frames for summary in recorded) == answer["received"]
+
+
+BAD_REQUESTS: list[tuple[str, dict[str, Any], str]] = [
+    ("dance", {}, "there is no operation 'dance', only status, ues"),
+    ("status", {"loud": True}, "status takes no arguments, not loud"),
+    ("spectrum", {"ue": -1}, "ue must be a whole number"),
+    ("spectrum", {"ue": "7"}, "ue must be a whole number"),
+    ("spectrum", {"ue": 2**63}, "is not on the chart"),
+    ("set_method", {"theta": "bartlet"}, "theta = 'bartlet'"),
+    ("set_method", {"theta": "joint"}, "joint"),
+    ("record", {"on": "yes"}, "on must be true or false"),
+    ("record", {"on": True}, "path must name the file"),
+    ("record", {"on": True, "path": "/nowhere/at/all.mcap"}, "/nowhere/at"),
+]
+
+
+def test_bad_requests_get_an_error_and_change_nothing(make_node: MakeNode) -> None:
+    node = make_node(loops=0)
+    node.start()
+    until(lambda: node.status()["ues"] == 40, "all UEs are on the chart")
+    for operation, arguments, message in BAD_REQUESTS:
+        with pytest.raises(RequestError, match=message):
+            node.request(operation, arguments)
+    node.stop()
+    assert node.wait(DEADLINE_S)
+    assert _methods(node) == ("bartlett", "bartlett")
+    summary = node.close()
+    assert summary["frames_in"] == summary["frames_estimated"]
+
+
+def _methods(node: Node) -> tuple[str, str] | None:
+    chart = node.chart()
+    return None if chart is None else (chart.method.theta, chart.method.rho)

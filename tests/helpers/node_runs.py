@@ -1,0 +1,84 @@
+"""What tests of whole nodes share: a capture, a node as a process, and waiting for things to happen."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from chachart.node.csi import CsiBlock
+from chachart.node.geometry import ArrayGeometry
+
+DEADLINE_S = 60.0
+ARRAY = ArrayGeometry("lab", 16, 8, 2e9, 312_500.0, 0.0749481145)
+
+
+def until(condition: Callable[[], Any], what: str) -> None:
+    """Wait for a condition, not for a time."""
+    deadline, timer = time.monotonic() + DEADLINE_S, threading.Event()
+    while not condition():
+        assert time.monotonic() < deadline, f"never happened: {what}"
+        timer.wait(0.02)
+
+
+def capture_blocks(ues: int = 40, rounds: int = 25, block: int = 100) -> list[CsiBlock]:
+    """Plane waves of UEs at random places, in turn, with noise."""
+    rng = np.random.default_rng(5)
+    position = np.column_stack([rng.uniform(100, 600, ues), rng.uniform(-400, 400, ues), np.zeros(ues)])
+    theta, rho = ARRAY.theta_rho(position)
+    n, s = np.arange(ARRAY.antennas)[:, None], np.arange(ARRAY.subcarriers)
+    phase = ARRAY.theta_phase * np.cos(theta)[:, None, None] * n + ARRAY.rho_phase * rho[:, None, None] * s
+    ue = np.tile(np.arange(ues), rounds)
+    noise = rng.standard_normal((2, len(ue), ARRAY.antennas, ARRAY.subcarriers)) / 2
+    csi = (np.exp(1j * phase)[ue] + noise[0] + 1j * noise[1]).astype(np.complex64)
+    return [
+        CsiBlock(
+            "lab",
+            start,
+            ue[start : start + block].astype(np.uint64),
+            1_700_000_000_000_000_000 + 1_000_000 * np.arange(start, min(start + block, len(ue))),
+            csi[start : start + block],
+            position[ue[start : start + block]].astype(np.float32),
+        )
+        for start in range(0, len(ue), block)
+    ]
+
+
+@dataclass
+class Running:
+    """A node as a process of its own."""
+
+    process: subprocess.Popen[str]
+    log: Path
+    summary_file: Path
+
+    def signal(self, number: int) -> None:
+        self.process.send_signal(number)
+
+    def finish(self) -> int:
+        return self.process.wait(DEADLINE_S)
+
+    def said(self) -> str:
+        return self.log.read_text()
+
+    def summary(self) -> dict[str, Any]:
+        summary: dict[str, Any] = json.loads(self.summary_file.read_text())
+        return summary
+
+    def children(self, what: str) -> list[int]:
+        """Process ids of the node's children that run the module `what`."""
+        tasks = Path(f"/proc/{self.process.pid}/task").iterdir()
+        pids = [pid for task in tasks for pid in (task / "children").read_text().split()]
+        return [int(pid) for pid in pids if f"runtime.{what}" in Path(f"/proc/{pid}/cmdline").read_text()]
+
+
+def adds_up(summary: dict[str, Any]) -> bool:
+    """Every frame that came in was estimated or dropped for a reason."""
+    return bool(summary["frames_in"] == summary["frames_estimated"] + sum(summary["dropped"].values()))

@@ -1,0 +1,58 @@
+"""Sources that misbehave, for nodes in tests; importable by a node's child processes."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from chachart.node.csi import CsiBlock
+from chachart.node.errors import SetupError
+from chachart.sources.base import EndOfSource, Source, SourceSettings
+
+BLOCKS = 20
+FRAMES = 10
+
+
+class OddSettings(SourceSettings):
+    """What goes wrong, and when."""
+
+    type: Literal["odd"] = "odd"
+    odd: Literal["open", "crash", "recv", "shape", "order"] = "open"
+    """`open` fails, or `crash`es; `recv` raises half-way; a wrong `shape`; blocks out of `order`."""
+
+
+class Odd(Source):
+    """Twenty blocks of ten frames, one of them odd."""
+
+    Settings = OddSettings
+    settings: OddSettings
+    lossless = True
+
+    def open(self) -> None:
+        self._sent = 0
+        if self.settings.odd == "open":
+            raise SetupError("the radio is not plugged in: connect it to port 1")
+        if self.settings.odd == "crash":
+            raise ZeroDivisionError("a bug")
+
+    def recv(self, timeout: float) -> CsiBlock | None:
+        n, odd = self._sent, self.settings.odd
+        if n == BLOCKS:
+            raise EndOfSource
+        self._sent += 1
+        if n == BLOCKS // 2:
+            if odd == "recv":
+                raise RuntimeError("the radio was unplugged")
+            if odd == "shape":
+                return self._block(n, antennas=self.array.antennas + 1)
+            if odd == "order":
+                return self._block(n + 1)
+        return self._block(n)
+
+    def _block(self, n: int, antennas: int | None = None) -> CsiBlock:
+        shape = (FRAMES, antennas or self.array.antennas, self.array.subcarriers)
+        ue = np.arange(FRAMES, dtype=np.uint64)
+        return CsiBlock(
+            self.array.name, n * FRAMES, ue, np.full(FRAMES, n, np.int64), np.ones(shape, np.complex64)
+        )

@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from chachart.node.csi import CsiBlock
+from chachart.node.runtime.partition import Partitioner, Piece, shard_of
+
+Sizes = st.lists(st.integers(1, 70), min_size=1, max_size=12)
+
+
+def make_blocks(sizes: list[int], ues: int = 20) -> list[CsiBlock]:
+    """Frames that carry their own number as time and sample."""
+    rng = np.random.default_rng(len(sizes))
+    blocks, seq = [], 0
+    for size in sizes:
+        number = np.arange(seq, seq + size)
+        csi = number.astype(np.complex64)[:, None, None] * np.ones((1, 2, 2), np.complex64)
+        ue = rng.integers(0, ues, size).astype(np.uint64)
+        blocks.append(CsiBlock("lab", seq, ue, number, csi))
+        seq += size
+    return blocks
+
+
+def run(partitioner: Partitioner, blocks: list[CsiBlock]) -> list[Piece]:
+    pieces = [piece for now, block in enumerate(blocks) for piece in partitioner.add(block, float(now))]
+    return pieces + partitioner.flush()
+
+
+@given(sizes=Sizes, shards=st.integers(1, 5), block_frames=st.integers(1, 40))
+def test_every_frame_leaves_once_in_the_order_of_its_ue(
+    sizes: list[int], shards: int, block_frames: int
+) -> None:
+    blocks = make_blocks(sizes)
+    pieces = run(Partitioner(shards, block_frames, 1e9), blocks)
+    everything = CsiBlock.concatenate(blocks)
+    assert sorted(n for p in pieces for n in p.block.time_ns.tolist()) == everything.time_ns.tolist()
+    for piece in pieces:
+        assert len(piece.block) <= block_frames
+        assert (shard_of(piece.block.ue, shards) == piece.shard).all()
+        np.testing.assert_array_equal(piece.block.csi[:, 0, 0].real, piece.block.time_ns)
+    for ue in np.unique(everything.ue):
+        times = [t for p in pieces for t in p.block.time_ns[p.block.ue == ue].tolist()]
+        assert times == sorted(times)
+
+
+def test_one_shard_passes_blocks_through_without_a_copy() -> None:
+    [block] = make_blocks([128])
+    pieces = Partitioner(1, 64, 1.0).add(block, 0.0)
+    assert [len(p.block) for p in pieces] == [64, 64]
+    assert all(np.shares_memory(p.block.csi, block.csi) for p in pieces)
+    assert [p.block.seq for p in pieces] == [0, 64]
+
+
+def test_a_block_that_waited_long_enough_is_due() -> None:
+    partitioner = Partitioner(1, 64, linger_s=0.005)
+    first, second = make_blocks([10, 5])
+    assert partitioner.deadline() is None
+    assert partitioner.add(first, 1.0) == []
+    assert partitioner.add(second, 1.004) == []
+    assert partitioner.deadline() == pytest.approx(1.005)
+    assert partitioner.due(1.0049) == []
+    [piece] = partitioner.due(1.005)
+    assert len(piece.block) == 15
+    assert piece.arrival == 1.0
+    assert partitioner.deadline() is None
+    assert partitioner.flush() == []
+
+
+def test_shards_are_stable_and_even() -> None:
+    ue = np.arange(100_000, dtype=np.uint64)
+    shard = shard_of(ue, 4)
+    np.testing.assert_array_equal(shard, shard_of(ue, 4))
+    counts = np.bincount(shard, minlength=4)
+    assert abs(counts / len(ue) - 0.25).max() < 0.01
+    assert set(shard_of(np.array([0, 2**64 - 1], np.uint64), 1)) == {0}

@@ -1,0 +1,116 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from csi_samples import small_array, some_block
+
+from chachart.node.csi import CsiBlock
+from chachart.node.errors import RequestError
+from chachart.node.runtime.processor import BlockProcessor, FrameClock
+
+ARRAY = small_array(8, 4)
+
+
+def processor(live: bool = False, monotonic: Any = lambda: 0.0, **estimator: Any) -> BlockProcessor:
+    return BlockProcessor(ARRAY, estimator, FrameClock(live, monotonic))
+
+
+def block(frames: int = 6, **arguments: Any) -> CsiBlock:
+    return some_block(frames, antennas=8, subcarriers=4, **arguments)
+
+
+def test_one_row_for_each_ue() -> None:
+    frames = block()
+    outcome = processor().process(frames)
+    assert outcome.update is not None
+    assert sorted(outcome.update.ue.tolist()) == sorted(set(frames.ue.tolist()))
+    assert (outcome.estimated, outcome.dropped) == (6, {})
+
+
+def test_frames_that_cannot_be_used_are_dropped_and_counted_per_block() -> None:
+    worker = processor()
+    frames = block()
+    frames.csi[1], frames.csi[2] = np.nan, 0
+    outcome = worker.process(frames)
+    assert (outcome.estimated, outcome.dropped) == (4, {"not_finite": 1, "zero": 1})
+    assert worker.process(block(seq=6)).dropped == {}
+
+
+def test_a_block_without_a_usable_frame_gives_no_update() -> None:
+    frames = block(3)
+    frames.csi[:] = np.inf
+    outcome = processor().process(frames)
+    assert (outcome.update, outcome.estimated, outcome.dropped) == (None, 0, {"not_finite": 3})
+
+
+def test_a_block_that_the_estimator_refuses_is_counted(caplog: pytest.LogCaptureFixture) -> None:
+    outcome = processor(max_ues=1).process(block())
+    assert (outcome.update, outcome.estimated, outcome.dropped) == (None, 0, {"estimation_failed": 6})
+    assert "max_ues" in caplog.text
+
+
+def test_untrained_rows_are_no_lost_frames() -> None:
+    worker = processor(rho="lr")
+    outcome = worker.process(block(position=False))
+    assert (outcome.update, outcome.estimated, outcome.dropped) == (None, 6, {})
+    assert worker.untrained > 0
+
+
+def test_recordings_forget_by_frame_time() -> None:
+    worker = processor(forget_after_s=10.0)
+    worker.process(block(start_ns=0))
+    before = worker.ues
+    worker.forget()
+    assert worker.ues == before
+    worker.process(block(1, seq=7, start_ns=20_000_000_000))
+    worker.forget()
+    assert worker.ues == 1
+
+
+def test_live_sources_forget_while_nothing_comes() -> None:
+    now = [100.0]
+    worker = processor(live=True, monotonic=lambda: now[0], forget_after_s=10.0)
+    worker.process(block(start_ns=0))
+    worker.forget()
+    assert worker.ues > 0
+    now[0] += 11.0
+    worker.forget()
+    assert worker.ues == 0
+
+
+def test_spectrum_is_plain_values() -> None:
+    worker = processor()
+    frames = block()
+    worker.process(frames)
+    answer = worker.request("spectrum", {"ue": int(frames.ue[0])})
+    assert isinstance(answer["theta_spectrum"], list)
+    assert isinstance(answer["theta"], float)
+
+
+@pytest.mark.parametrize(
+    ("operation", "arguments", "message"),
+    [
+        ("spectrum", {"ue": 5000}, "UE 5000 is not on the chart"),
+        ("set_method", {"theta": "bartlet", "rho": "music"}, "theta"),
+        ("dance", {}, "dance"),
+    ],
+)
+def test_bad_requests_change_nothing(operation: str, arguments: dict[str, Any], message: str) -> None:
+    worker = processor()
+    worker.process(block())
+    with pytest.raises(RequestError, match=message):
+        worker.request(operation, arguments)
+    update = worker.process(block(seq=6)).update
+    assert update is not None
+    assert update.method.theta == "bartlett"
+
+
+def test_another_method_holds_from_the_next_block_on() -> None:
+    worker = processor()
+    worker.process(block())
+    assert worker.request("set_method", {"theta": "music", "rho": "isq"}) == {"theta": "music", "rho": "isq"}
+    update = worker.process(block(seq=6)).update
+    assert update is not None
+    assert (update.method.theta, update.method.rho) == ("music", "isq")
