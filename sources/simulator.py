@@ -18,6 +18,7 @@ from chachart.sources.base import EndOfSource, Source, SourceSettings
 from chachart.sources.scenario.channel import Channel, ChannelName, make_channel, mean_power, synthesise
 from chachart.sources.scenario.layout import UE_HEIGHT_M, LayoutName, place
 from chachart.sources.scenario.motion import Motion, MotionName, RandomWaypoint, Static
+from chachart.sources.scenario.multipath import MAX_UES
 from chachart.sources.scenario.phasor import phasor
 
 log = logging.getLogger(__name__)
@@ -100,6 +101,13 @@ class Simulator(Source):
         self._work: Iterator[None] | None = None
         self._still: NDArray[np.complex64] | None = None
         self._begin()
+
+    @classmethod
+    def problems(cls, settings: SimulatorSettings) -> list[str]:
+        """More UEs than multipath channels can be kept of."""
+        if settings.channel != "los" and settings.ues > MAX_UES:
+            return [f"ues = {settings.ues}: {settings.channel} channels take at most {MAX_UES}"]
+        return []
 
     def _begin(self) -> None:
         """Back to frame 0."""

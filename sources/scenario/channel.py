@@ -19,6 +19,7 @@ Progress = Callable[[int, int], None]
 """Called with (UEs done, UEs in all)."""
 
 _CHUNK_SAMPLES = 1 << 16
+_CHUNK_UES = 256
 _QUIET_S = 1.0
 
 
@@ -61,7 +62,8 @@ def synthesise(
 
     Yields how many are done, after each piece; pieces are small enough for the processor's cache.
     """
-    step = max(1, _CHUNK_SAMPLES // (channel.array.antennas * channel.array.subcarriers))
+    samples = channel.array.antennas * channel.array.subcarriers
+    step = min(max(1, _CHUNK_SAMPLES // samples), _CHUNK_UES)
     for begin in range(0, len(ue), step):
         piece = slice(begin, begin + step)
         out[piece] = channel.csi(ue[piece], position[piece])

@@ -177,6 +177,24 @@ def test_an_oversized_block_is_refused_with_what_would_fit():
     Simulator(SimulatorSettings(block_frames=8, ues=1), array).open()
 
 
+def test_too_many_ues_for_multipath_are_a_problem_before_anything_starts():
+    too_many = SimulatorSettings(channel="qnlos", ues=60_000)
+    assert "at most 50000" in Simulator.problems(too_many)[0]
+    with pytest.raises(SetupError, match="at most 50000"):
+        Simulator(too_many, ARRAY).open()
+    assert Simulator.problems(SimulatorSettings(ues=60_000)) == []
+
+
+@pytest.mark.parametrize("channel", ["qlos", "qnlos"])
+@pytest.mark.parametrize("motion", ["static", "waypoint"])
+def test_multipath_channels_come_through_with_unit_mean_power(channel, motion):
+    block = drain(ues=400, frames=400, channel=channel, motion=motion, snr_db=100.0)
+    assert np.mean(np.abs(block.csi) ** 2) == pytest.approx(1, rel=0.1)
+    if motion == "static":
+        clean = channels(channel, place("vip", 400, ARRAY), ARRAY)
+        np.testing.assert_allclose(block.csi, clean, atol=1e-3)
+
+
 def test_more_ues_than_fit_in_memory_are_computed_frame_by_frame(monkeypatch):
     from chachart.sources import simulator
 
