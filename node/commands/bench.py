@@ -15,6 +15,7 @@ from typing import Any
 
 BENCHMARKS = {
     "kernels": "each estimator, and each pair of estimators, beside a textbook implementation",
+    "scale": "more UEs, antennas and subcarriers: time a frame and memory",
 }
 """Each benchmark and what it measures; its module in `benchmarks` has `add_arguments` and `run`."""
 
