@@ -63,7 +63,7 @@ def toml(value: Any) -> str:
             mantissa, e, exponent = text.partition("e")
             return f"{mantissa}e{int(exponent)}" if e else text
         case str() | Path():
-            return json.dumps(str(value), ensure_ascii=False)
+            return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
         case Mapping():
             return "{ " + ", ".join(f"{k} = {toml(v)}" for k, v in value.items()) + " }"
         case BaseModel():

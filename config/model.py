@@ -11,6 +11,4 @@ class Settings(BaseModel):
     A docstring under a field becomes its description, in sample files and in the README's table.
     """
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, use_attribute_docstrings=True, validate_default=True, allow_inf_nan=False
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, allow_inf_nan=False)

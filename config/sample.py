@@ -117,7 +117,8 @@ def _example(field: FieldInfo) -> Any:
     if get_origin(kind) is tuple:
         return [1.0 for _ in get_args(kind)]
     lowest = next((m.ge for m in field.metadata if hasattr(m, "ge")), 1)
-    return {int: lowest, float: float(lowest), Path: "file", bool: False}.get(kind, "text")
+    text = "x" * next((m.min_length for m in field.metadata if hasattr(m, "min_length")), 1)
+    return {int: lowest, float: float(lowest), Path: "file", bool: False}.get(kind, text)
 
 
 def _comment(text: str) -> str:

@@ -42,13 +42,16 @@ def test_keys_that_are_not_set_have_fitting_examples(toml_file: Write) -> None:
 
 @pytest.mark.parametrize("name", available("source", package="chachart."))
 def test_every_source_has_a_sample(toml_file: Write, name: str) -> None:
-    assert load(toml_file(sample.component("source", name)), []).source.type == name
+    text = sample.component("source", name)
+    for version in (text, uncommented(text)):
+        assert load(toml_file(version), []).source.type == name
 
 
 @pytest.mark.parametrize("name", available("sink", package="chachart."))
 def test_every_sink_has_a_sample(toml_file: Write, name: str) -> None:
     text = f"{sample.component('source', 'simulator')}\n{sample.component('sink', name)}"
-    assert [sink.type for sink in load(toml_file(text), []).sinks] == [name]
+    for version in (text, uncommented(text)):
+        assert [sink.type for sink in load(toml_file(version), []).sinks] == [name]
 
 
 def test_somebody_elses_source_has_one_too(plugins: Path, toml_file: Write) -> None:
