@@ -6,9 +6,9 @@ The layout, for whoever reads such a file with another tool:
   (JSON, the fields of `ArrayGeometry`) and `note` (JSON, whatever the writer had to say: a calibration, say).
 - Chunks of 256 KiB without compression; CSI is noise to a compressor. Each goes to the operating system when
   it is full: a writer that is killed loses its last chunk and nothing else.
-- One channel `csi`, one message a block: a msgpack map with the fields of a protocol 1 CSI header and the
-  samples themselves as `csi` (raw little-endian, antennas by subcarriers, frame after frame). `log_time` is
-  the time of the block's earliest frame, `publish_time` that of its latest.
+- One channel `csi`, one message a block of up to 64 frames: a msgpack map with the fields of a protocol 1 CSI
+  header and the samples themselves as `csi` (raw little-endian, antennas by subcarriers, frame after frame).
+  `log_time` is the time of the block's earliest frame, `publish_time` that of its latest.
 - On closing, a Metadata record `chachart.totals`: `frames`, `ues`, `start_ns`, `end_ns`, `span_ns` (the
   longest time that one message covers), then MCAP's own summary with the time of every chunk.
 """
@@ -149,6 +149,9 @@ class RecordingWriter:
         self.path = Path(path)
         self.array = array
         self._account = _Account()
+        self._chunk_bytes = chunk_bytes
+        self._gathered: list[CsiBlock] = []
+        self._gathered_bytes = 0
         try:
             self._file = self.path.open("xb")
         except FileExistsError:
@@ -168,7 +171,7 @@ class RecordingWriter:
             raise
 
     def write(self, block: CsiBlock) -> None:
-        """Append a block; a long one becomes several messages.
+        """Append a block: a long one becomes several messages, short ones that follow each other become one.
 
         Raises
         ------
@@ -182,23 +185,33 @@ class RecordingWriter:
                 f"a recording of {self.array.antennas} x {self.array.subcarriers} takes no frames of "
                 f"{block.antennas} x {block.subcarriers}"
             )
-        frame_bytes = block.csi[0].nbytes
-        step = max(1, min(MESSAGE_FRAMES, MESSAGE_BYTES // frame_bytes))
-        for start in range(0, len(block), step):
-            piece = block if len(block) <= step else _frames(block, slice(start, start + step))
-            first, last = self._account.add(piece)
-            # MCAP's times are unsigned; the frames keep their own.
-            self._writer.add_message(self._channel, max(first, 0), encode_csi_map(piece), max(last, 0))
-            self._file.flush()
+        self._gathered.append(block)
+        self._gathered_bytes += block.csi.nbytes
+        if self._gathered_bytes >= self._chunk_bytes:
+            self.flush()
 
     def flush(self) -> None:
-        """Hand what there is to the operating system as a chunk of its own, however short."""
+        """Hand what there is to the operating system as a chunk of its own, however short.
+
+        Raises
+        ------
+        OSError
+            If the disk takes no more.
+        """
+        blocks, self._gathered, self._gathered_bytes = self._gathered, [], 0
+        for block in _joined(blocks):
+            step = max(1, min(MESSAGE_FRAMES, MESSAGE_BYTES // block.csi[0].nbytes))
+            for start in range(0, len(block), step):
+                piece = block if len(block) <= step else _frames(block, slice(start, start + step))
+                first, last = self._account.add(piece)
+                # MCAP's times are unsigned; the frames keep their own.
+                self._writer.add_message(self._channel, max(first, 0), encode_csi_map(piece), max(last, 0))
         self._writer.flush()
 
     @property
     def frames(self) -> int:
         """Frames written so far."""
-        return self._account.frames
+        return self._account.frames + sum(len(block) for block in self._gathered)
 
     @property
     def bytes_written(self) -> int:
@@ -209,9 +222,9 @@ class RecordingWriter:
         """Write the totals and the index, and close the file. May be called twice."""
         if self._file.closed:
             return
-        totals = asdict(self._account.totals())
         with self._file:
-            self._writer.flush()
+            self.flush()
+            totals = asdict(self._account.totals())
             self._writer.add_metadata(_TOTALS, {name: json.dumps(value) for name, value in totals.items()})
             self._writer.finish()
 
@@ -328,6 +341,22 @@ class RecordingReader:
         for block in self.blocks():
             account.add(block)
         return account.totals()
+
+
+def _joined(blocks: list[CsiBlock]) -> Iterator[CsiBlock]:
+    """The same frames in fewer blocks: those that follow each other become one."""
+    run: list[CsiBlock] = []
+    for block in blocks:
+        if run and not (
+            block.array == run[-1].array
+            and block.seq == run[-1].seq + len(run[-1])
+            and (block.position is None) == (run[-1].position is None)
+        ):
+            yield CsiBlock.concatenate(run)
+            run = []
+        run.append(block)
+    if run:
+        yield CsiBlock.concatenate(run)
 
 
 def _frames(block: CsiBlock, rows: slice) -> CsiBlock:

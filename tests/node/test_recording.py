@@ -43,27 +43,35 @@ def run_of_blocks(n: int, frames: int = 5) -> list[CsiBlock]:
 
 @dataclass(frozen=True)
 class Recorded:
-    """A closed recording: its bytes, its blocks, where its head and each chunk end, and blocks a chunk."""
+    """A closed recording: its bytes and frames, where its head and each chunk end, and frames a chunk."""
 
     content: bytes
-    blocks: list[CsiBlock]
+    frames: CsiBlock
     head_end: int
     chunk_ends: list[int]
-    blocks_per_chunk: int
+    frames_per_chunk: int
 
     def complete_at(self, cut: int) -> int:
-        """Blocks in chunks that end before byte `cut`."""
-        chunks = sum(end <= cut for end in self.chunk_ends)
-        return min(chunks * self.blocks_per_chunk, len(self.blocks))
+        """Frames in chunks that end before byte `cut`."""
+        return sum(end <= cut for end in self.chunk_ends) * self.frames_per_chunk
+
+    def first(self, n: int) -> CsiBlock:
+        return self.frames.take(np.arange(n))
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    """200 frames, one a millisecond, in 8 chunks."""
     blocks = run_of_blocks(40)
     content = record(tmp_path_factory.mktemp("recorded") / "whole.mcap", blocks).read_bytes()
     chunks = [r for r in StreamReader(io.BytesIO(content)).records if isinstance(r, ChunkIndex)]
+    assert len(chunks) == 8
     ends = [c.chunk_start_offset + c.chunk_length for c in chunks]
-    return Recorded(content, blocks, chunks[0].chunk_start_offset, ends, -(-len(blocks) // len(chunks)))
+    return Recorded(content, CsiBlock.concatenate(blocks), chunks[0].chunk_start_offset, ends, 25)
+
+
+def frames_in(blocks: list[CsiBlock]) -> int:
+    return sum(len(block) for block in blocks)
 
 
 @pytest.mark.parametrize("position", [True, False])
@@ -71,7 +79,7 @@ def test_what_is_written_is_read(tmp_path: Path, position: bool) -> None:
     blocks = [some_block(n, seq=n, seed=n, position=position) for n in (1, 64, 3)]
     reader = RecordingReader(record(tmp_path / "a.mcap", blocks))
     read = list(reader.blocks())
-    assert [b.seq for b in read] == [1, 64, 3]
+    assert [b.seq for b in read] == [1, 64, 3]  # not one numbered on from the other: none is joined
     assert_same_frames(read, blocks)
     assert reader.array == small_array()
     summary = reader.summary()
@@ -103,11 +111,19 @@ def test_a_long_block_becomes_several_messages(tmp_path: Path) -> None:
     assert_same_frames(read, block)
 
 
+def test_short_blocks_become_one_message(tmp_path: Path) -> None:
+    blocks = run_of_blocks(70, frames=1)
+    reader = RecordingReader(record(tmp_path / "a.mcap", blocks, chunk_bytes=50 * 96))
+    read = list(reader.blocks())
+    assert [(b.seq, len(b)) for b in read] == [(0, 50), (50, 20)]
+    assert_same_frames(read, blocks)
+
+
 def test_mcap_tools_read_it(tmp_path: Path) -> None:
     path = record(tmp_path / "a.mcap", run_of_blocks(10))
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
-        assert len(list(reader.iter_messages(topics="csi"))) == 10
+        assert len(list(reader.iter_messages(topics="csi"))) == 2
         assert {m.name for m in reader.iter_metadata()} == {"chachart.csi", "chachart.totals"}
 
 
@@ -127,9 +143,9 @@ def test_a_recording_cut_anywhere_has_all_but_its_last_chunk(
     read = list(reader.blocks())
     assert not reader.closed_properly
     assert reader.damaged.total() == 0
-    assert len(read) == recorded.complete_at(cut)
+    assert frames_in(read) == recorded.complete_at(cut)
     if read:
-        assert_same_frames(read, recorded.blocks[: len(read)])
+        assert_same_frames(read, recorded.first(frames_in(read)))
 
 
 def test_a_killed_writer_loses_its_last_chunk_only(tmp_path: Path) -> None:
@@ -140,7 +156,7 @@ def test_a_killed_writer_loses_its_last_chunk_only(tmp_path: Path) -> None:
         "from csi_samples import small_array, some_block\n"
         "from chachart.node.recording import RecordingWriter\n"
         f"w = RecordingWriter({str(path)!r}, small_array(), note={{'calibrated': True}}, chunk_bytes=2048)\n"
-        "for i in range(50):\n"
+        "for i in range(53):\n"
         "    w.write(some_block(5, seq=5 * i))\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
@@ -149,11 +165,11 @@ def test_a_killed_writer_loses_its_last_chunk_only(tmp_path: Path) -> None:
     assert ended.returncode == -signal.SIGKILL
     reader = RecordingReader(path)
     read = list(reader.blocks())
-    assert_same_frames(read, [some_block(5, seq=5 * i) for i in range(len(read))])
-    assert 50 - len(read) <= 4  # 2048 bytes are at most four blocks
+    assert frames_in(read) == 250  # five blocks fill a chunk; the last three were on their way
+    assert_same_frames(read, [some_block(5, seq=5 * i) for i in range(frames_in(read) // 5)])
     summary = reader.summary()
     assert not summary.closed_properly
-    assert summary.frames == 5 * len(read)
+    assert summary.frames == frames_in(read)
     assert summary.note == {"calibrated": True}
 
 
@@ -179,11 +195,11 @@ def test_a_damaged_byte_is_noticed(tmp_path: Path, recorded: Recorded, data: st.
         read = list(reader.blocks())
     except SetupError:
         return
-    written = {b.csi.tobytes() for b in recorded.blocks}
-    assert all(b.csi.tobytes() in written for b in read)
-    if len(read) < len(recorded.blocks):
-        assert reader.damaged.total() > 0 or not reader.closed_properly
-        assert len(read) >= len(recorded.blocks) - recorded.blocks_per_chunk or not reader.closed_properly
+    written = {frame.tobytes() for frame in recorded.frames.csi}
+    assert all(frame.tobytes() in written for block in read for frame in block.csi)
+    if frames_in(read) < len(recorded.frames) and reader.closed_properly:
+        assert reader.damaged.total() == 1
+        assert frames_in(read) == len(recorded.frames) - recorded.frames_per_chunk
 
 
 @one_folder
@@ -208,11 +224,10 @@ def test_seek_by_time_gives_exactly_those_frames(
     path = tmp_path / "seek.mcap"
     path.write_bytes(recorded.content if closed else recorded.content[:-10])
     first, last = START_NS + start * MS, START_NS + (start + length) * MS
-    everything = CsiBlock.concatenate(recorded.blocks)
-    keep = (everything.time_ns >= first) & (everything.time_ns < last)
+    keep = (recorded.frames.time_ns >= first) & (recorded.frames.time_ns < last)
     read = list(RecordingReader(path).blocks(first, last))
     if keep.any():
-        assert_same_frames(read, everything.take(keep))
+        assert_same_frames(read, recorded.frames.take(keep))
     else:
         assert read == []
 
