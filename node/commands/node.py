@@ -109,7 +109,7 @@ def _run(plan: Plan, options: argparse.Namespace) -> int:
     console = Console()
     live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
     if live is not None and options.log_format == "text":
-        logs.set_up("text", options.log_level, RichHandler(console=console, show_path=False, show_time=False))
+        logs.set_up("text", options.log_level, RichHandler(console=console, show_path=False))
     node = Node(plan, logging.getLevelNamesMapping()[options.log_level])
     signals = _Signals(node)
     node.start()

@@ -163,12 +163,12 @@ class Feeder:
         if identity not in self._identity:
             return
         shard = self._identity.index(identity)
-        piece = self._lanes.acknowledge(shard, values["seq"], values["estimated"], values["dropped"])
-        if piece is None:
+        pieces = self._lanes.acknowledge(shard, values["seqs"], values["estimated"], values["dropped"])
+        if not pieces:
             return
         self._worker_status[shard].update(ues=values["ues"], **values["counters"])
         if update:
-            header = messages.pack({"arrival": piece.arrival, "frames": values["estimated"]})
+            header = messages.pack({"arrival": pieces[0].arrival, "frames": values["estimated"]})
             self._results.send_multipart([messages.UPDATE, header, update])
 
     def _send_blocks(self) -> None:

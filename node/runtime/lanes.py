@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from chachart.node.counters import Counters
@@ -50,10 +50,12 @@ class Lanes:
                 self._condition.notify_all()
             return entry
 
-    def acknowledge(self, shard: int, seq: int, estimated: int, dropped: Mapping[str, int]) -> Piece | None:
+    def acknowledge(
+        self, shard: int, seqs: Sequence[int], estimated: int, dropped: Mapping[str, int]
+    ) -> list[Piece]:
         """See `ShardQueue.acknowledge`."""
         with self._condition:
-            return self._queues[shard].acknowledge(seq, estimated, dropped)
+            return self._queues[shard].acknowledge(seqs, estimated, dropped)
 
     def worker_lost(self, shard: int) -> int:
         """See `ShardQueue.worker_lost`."""

@@ -25,11 +25,10 @@ class JsonFormatter(logging.Formatter):
 
 
 def set_up(form: Literal["text", "json"], level: int, handler: logging.Handler | None = None) -> None:
-    """Send all log records to `handler` (stderr where none is given)."""
-    handler = handler or logging.StreamHandler()
-    if form == "json":
-        handler.setFormatter(JsonFormatter())
-    else:
-        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(message)s", "%H:%M:%S"))
+    """Send all log records to stderr in that form, or to a `handler` that has its own."""
+    if handler is None:
+        handler = logging.StreamHandler()
+        lines = logging.Formatter("%(asctime)s %(levelname)-7s %(message)s", "%H:%M:%S")
+        handler.setFormatter(JsonFormatter() if form == "json" else lines)
     logging.basicConfig(level=level, handlers=[handler], force=True)
     logging.captureWarnings(True)

@@ -95,7 +95,9 @@ def _worker(worker: dict[str, Any]) -> Text:
     absent = worker["pid"] is None
     return Text.assemble(
         (f"worker {worker['shard']} ", "dim"),
-        ("restarting", "yellow") if absent else f"process {worker['pid']}",
+        ("restarting" if worker["restarts"] else "starting", "yellow")
+        if absent
+        else f"process {worker['pid']}",
         f", {worker['ues']:,} UEs, backlog {worker.get('backlog_frames', 0):,}, ",
         f"restarts {worker['restarts']}",
     )

@@ -8,7 +8,7 @@ blocks to its successor. At any time: frames put = estimated + dropped + held.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from chachart.node.counters import Counters
@@ -79,15 +79,15 @@ class ShardQueue:
         self._unacknowledged[entry.seq] = entry
         return entry
 
-    def acknowledge(self, seq: int, estimated: int, dropped: Mapping[str, int]) -> Piece | None:
-        """The worker is done with block `seq`; None if that block is not (or no longer) the worker's."""
-        entry = self._unacknowledged.pop(seq, None)
-        if entry is None:
-            return None
-        self.frames_held -= len(entry.piece.block)
+    def acknowledge(self, seqs: Sequence[int], estimated: int, dropped: Mapping[str, int]) -> list[Piece]:
+        """The worker is done with the blocks `seqs`; nothing happens if one is not (or no longer) its own."""
+        if any(seq not in self._unacknowledged for seq in seqs):
+            return []
+        pieces = [self._unacknowledged.pop(seq).piece for seq in seqs]
+        self.frames_held -= sum(len(piece.block) for piece in pieces)
         self.frames_estimated += estimated
         self.dropped.merge(dropped)
-        return entry.piece
+        return pieces
 
     def worker_lost(self) -> int:
         """The worker is dead: gives how many frames wait for its successor (0 for a live queue)."""

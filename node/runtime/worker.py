@@ -13,6 +13,7 @@ from typing import Any
 import zmq
 
 from chachart.node.counters import Counters
+from chachart.node.csi import CsiBlock
 from chachart.node.errors import RequestError
 from chachart.node.geometry import ArrayGeometry
 from chachart.node.runtime import messages
@@ -23,6 +24,10 @@ from chachart.node.wire import decode_csi
 log = logging.getLogger(__name__)
 
 IDLE_MS = 500
+MERGE_BYTES = 2 * 1024 * 1024
+"""Blocks that have queued up are estimated as one up to this size: fewer calls, still within the cache."""
+
+Message = tuple[bytes, list[memoryview]]
 
 
 class Worker:
@@ -30,10 +35,12 @@ class Worker:
 
     def __init__(self, settings: dict[str, Any], socket: zmq.Socket[bytes]) -> None:
         self._shard: int = settings["shard"]
+        self._merge_frames: int = settings["estimator"]["max_ues"]
         self._processor = BlockProcessor(
             ArrayGeometry.from_dict(settings["array"]), settings["estimator"], FrameClock(live=False)
         )
         self._socket = socket
+        self._put_back: Message | None = None
         self._last = -1
         self._counters = Counters()
 
@@ -41,31 +48,47 @@ class Worker:
         """Serve until the feeder says that nothing more will come."""
         hello = {"shard": self._shard, "pid": os.getpid(), "last": self._last}
         self._socket.send_multipart([messages.HELLO, messages.pack(hello)])
-        while True:
-            if self._socket.poll(IDLE_MS):
-                kind, *parts = self._socket.recv_multipart(copy=False)
-                if kind.bytes == messages.END:
-                    return
-                self._handle(kind.bytes, [part.buffer for part in parts])
+        while (message := self._receive(IDLE_MS)) is None or message[0] != messages.END:
+            if message is not None:
+                self._handle(*message)
             self._processor.forget()
 
+    def _receive(self, timeout_ms: int) -> Message | None:
+        """The message that was put back, or else the next one; None if none comes in time."""
+        if self._put_back is not None:
+            message, self._put_back = self._put_back, None
+            return message
+        if not self._socket.poll(timeout_ms):
+            return None
+        kind, *parts = self._socket.recv_multipart(copy=False)
+        return kind.bytes, [part.buffer for part in parts]
+
     def _handle(self, kind: bytes, parts: list[memoryview]) -> None:
-        values = messages.unpack(parts[0])
         if kind == messages.BLOCK:
-            self._block(values["seq"], parts[1:])
+            self._blocks(parts)
         elif kind == messages.CONFIGURE:
+            values = messages.unpack(parts[0])
             self._processor.clock.live = values["live"]
             self._processor.request("set_method", values)
         elif kind == messages.REQUEST:
-            self._request(values)
+            self._request(messages.unpack(parts[0]))
 
-    def _block(self, seq: int, parts: list[memoryview]) -> None:
-        if self._last >= 0 and seq != self._last + 1:
-            self._counters.add("gaps" if seq > self._last else "out_of_order")
-        self._last = seq
-        outcome = self._processor.process(decode_csi(parts))
+    def _blocks(self, parts: list[memoryview]) -> None:
+        """Estimate this block together with those that wait behind it, and acknowledge them all."""
+        seqs = [self._number(parts[0])]
+        blocks = [decode_csi(parts[1:])]
+        frames, size = len(blocks[0]), blocks[0].csi.nbytes
+        while (message := self._receive(0)) is not None and message[0] == messages.BLOCK:
+            block = decode_csi(message[1][1:])
+            frames, size = frames + len(block), size + block.csi.nbytes
+            if frames > self._merge_frames or size > MERGE_BYTES:
+                break
+            seqs.append(self._number(message[1][0]))
+            blocks.append(block)
+        self._put_back = message
+        outcome = self._processor.process(CsiBlock.concatenate(blocks))
         answer = {
-            "seq": seq,
+            "seqs": seqs,
             "estimated": outcome.estimated,
             "dropped": outcome.dropped,
             "ues": self._processor.ues,
@@ -73,6 +96,13 @@ class Worker:
         }
         result = b"" if outcome.update is None else messages.pack_update(outcome.update)
         self._socket.send_multipart([messages.DONE, messages.pack(answer), result])
+
+    def _number(self, header: memoryview) -> int:
+        seq: int = messages.unpack(header)["seq"]
+        if self._last >= 0 and seq != self._last + 1:
+            self._counters.add("gaps" if seq > self._last else "out_of_order")
+        self._last = seq
+        return seq
 
     def _request(self, values: dict[str, Any]) -> None:
         answer: dict[str, Any] = {"id": values["id"]}

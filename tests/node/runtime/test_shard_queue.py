@@ -30,7 +30,7 @@ def test_credit_bounds_what_a_worker_holds() -> None:
         queue.put(piece(number=n))
     sent = take_all(queue)
     assert numbers(sent) == [0, 1]
-    assert queue.acknowledge(0, 1, {}) is sent[0].piece
+    assert queue.acknowledge([0], 1, {}) == [sent[0].piece]
     assert numbers(take_all(queue)) == [2]
 
 
@@ -47,7 +47,7 @@ def test_lossless_queue_replays_in_order_with_the_same_numbers() -> None:
     for n in range(6):
         queue.put(piece(number=n))
     first = take_all(queue)
-    queue.acknowledge(first[0].seq, 1, {})
+    queue.acknowledge([first[0].seq], 1, {})
     assert queue.worker_lost() == 3
     again = take_all(queue)
     assert numbers(again) == [1, 2, 3, 4]
@@ -81,7 +81,7 @@ def test_late_and_repeated_acknowledgements_do_not_count(lossless: bool) -> None
     queue.put(piece())
     [entry] = take_all(queue)
     queue.worker_lost()
-    assert queue.acknowledge(entry.seq, 1, {}) is None
+    assert queue.acknowledge([entry.seq], 1, {}) == []
     assert queue.frames_estimated == 0
 
 
@@ -107,13 +107,12 @@ class QueueMachine(RuleBasedStateMachine):
             self.sent.append(entry)
 
     @precondition(lambda self: self.sent)
-    @rule(rejected=st.booleans())
-    def acknowledge(self, rejected: bool) -> None:
-        entry = self.sent.pop(0)
-        frames = len(entry.piece.block)
-        self.queue.acknowledge(
-            entry.seq, 0 if rejected else frames, {"not_finite": frames} if rejected else {}
-        )
+    @rule(blocks=st.integers(1, 3), rejected=st.booleans())
+    def acknowledge(self, blocks: int, rejected: bool) -> None:
+        entries, self.sent = self.sent[:blocks], self.sent[blocks:]
+        frames = sum(len(entry.piece.block) for entry in entries)
+        seqs = [entry.seq for entry in entries]
+        self.queue.acknowledge(seqs, 0 if rejected else frames, {"not_finite": frames} if rejected else {})
 
     @rule()
     def lose(self) -> None:
