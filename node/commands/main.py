@@ -14,6 +14,7 @@ COMMANDS = {
     "bench": "measure how fast this machine runs chachart",
     "config": "print a commented sample configuration",
     "ctl": "ask and steer a running node",
+    "frontend": "be an array front-end on a serial line or a CAN bus, with faults on request",
     "import": "turn a capture of another tool into a recording",
     "info": "show what a recording holds",
     "evaluate": "chart a recording and say how good the chart is",

@@ -6,7 +6,7 @@ from chachart.node.geometry import ArrayGeometry
 from chachart.sources.frontend.packet import CsiPacket, Heartbeat, Hello, SampleFormat
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def array() -> ArrayGeometry:
     return ArrayGeometry("lab", 4, 3, 2e9, 312_500.0, 0.075)
 

@@ -1,0 +1,135 @@
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from front_ends import ARRAY, assert_same_chart, direct, listen, origin, scenario
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from source_contract import SourceCase, SourceContract
+
+from chachart.node.csi import CsiBlock
+from chachart.node.errors import SetupError
+from chachart.sources.base import EndOfSource
+from chachart.sources.frontend.can import CanSettings, CanSource
+from chachart.sources.frontend.can_log import CanLog, CanLogSettings
+from chachart.sources.frontend.packet import Heartbeat, encode
+
+
+def record(path: Path, frames: int, **loopback) -> Path:
+    """What a logger on the bus writes while a node listens to a simulated front-end."""
+    bus = CanSettings(
+        interface="virtual", channel=str(path), loopback={"scenario": scenario(frames), **loopback}
+    )
+    logger = can.Bus(str(path), "virtual", ignore_config=True)
+    with can.Logger(path) as write:
+        with CanSource(bus, ARRAY) as source:
+            listen(source, frames)
+        while (message := logger.recv(0.0)) is not None:
+            write(message)
+    logger.shutdown()
+    return path
+
+
+def drain(source: CanLog) -> list[CsiBlock]:
+    """All blocks of an open source."""
+    blocks = []
+    while True:
+        try:
+            block = source.recv(1.0)
+        except EndOfSource:
+            return blocks
+        if block is not None:
+            blocks.append(block)
+
+
+def replay(path: Path) -> tuple[CanLog, CsiBlock]:
+    with CanLog(CanLogSettings(path=path, speed=0.0), ARRAY) as source:
+        return source, CsiBlock.concatenate(drain(source))
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory) -> Path:
+    return record(tmp_path_factory.mktemp("log") / "bus.log", 20)
+
+
+class TestContract(SourceContract):
+    @pytest.fixture
+    def case(self, log) -> SourceCase:
+        return SourceCase("can_log", {"path": log, "speed": 0.0}, ARRAY)
+
+
+@pytest.mark.parametrize("suffix", [".blf", ".asc", ".log"])
+def test_a_logged_bus_replays_to_the_same_chart(tmp_path, suffix):
+    source, got = replay(record(tmp_path / f"bus{suffix}", 300))
+    assert_same_chart(got, direct(300))
+    assert source.details()["front_ends"]["0x640"]["lost"] == 0
+    assert source.rejected.as_dict() == {}
+    assert (np.diff(got.time_ns) >= 0).all()
+    assert 1.6e18 < got.time_ns[0] < 9e18
+
+
+def test_what_was_damaged_on_the_bus_is_counted_again(tmp_path):
+    source, got = replay(record(tmp_path / "bus.blf", 400, corrupt=0.05, drop=0.05))
+    assert len(origin(got, direct(400))) == len(got) < 400
+    assert source.details()["front_ends"]["0x640"]["lost"] == 400 - len(got)
+
+
+def test_it_plays_at_the_recorded_pace(tmp_path):
+    path = tmp_path / "bus.log"
+    with can.Logger(path) as write:
+        for n in range(5):
+            single = b"\0\x14" + encode(Heartbeat(0, n)) + b"\xcc\xcc"
+            write(can.Message(1e9 + 10 * n, 0x640, data=single, is_fd=True, is_extended_id=False))
+    with CanLog(CanLogSettings(path=path, speed=100.0), ARRAY) as source:
+        assert source.recv(0.0) is None
+        assert source.details()["played_s"] == 0.0
+        assert drain(source) == []
+        assert source.details()["played_s"] == 40.0
+        assert source.rejected.as_dict() == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("bus.csv", b"", "must end in .blf, .asc, .log"),
+        ("bus.blf", b"no such thing, but long enough for a header" * 9, "is no .blf log"),
+        ("bus.blf", b"", "is no .blf log"),
+        ("bus.log", b"", "holds no CAN message"),
+        ("bus.log", b"noise\n", "is no .log log"),
+        ("bus.asc", b"", "holds no CAN message"),
+    ],
+)
+def test_a_file_that_is_no_log_is_said_so(tmp_path, name, content, said):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(SetupError, match=said):
+        CanLog(CanLogSettings(path=tmp_path / name), ARRAY).open()
+
+
+def test_a_file_that_is_missing_is_said_so(tmp_path):
+    with pytest.raises(SetupError, match="there is no such file"):
+        CanLog(CanLogSettings(path=tmp_path / "none.blf"), ARRAY).open()
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory) -> dict[str, bytes]:
+    folder = tmp_path_factory.mktemp("good")
+    return {s: record(folder / f"bus{s}", 5).read_bytes() for s in (".blf", ".asc", ".log")}
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(suffix=st.sampled_from([".blf", ".asc", ".log"]), data=st.data())
+def test_any_damage_to_a_log_gives_an_error_or_the_rest(tmp_path, good, suffix, data):
+    raw = bytearray(good[suffix])
+    for _ in range(data.draw(st.integers(1, 5))):
+        raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
+    path = tmp_path / f"bus{suffix}"
+    path.write_bytes(raw[: data.draw(st.integers(0, len(raw)))])
+    source = CanLog(CanLogSettings(path=path, speed=0.0), ARRAY)
+    try:
+        source.open()
+    except SetupError:
+        return
+    blocks = drain(source)
+    source.close()
+    assert sum(len(b) for b in blocks) <= 5
