@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -74,6 +75,14 @@ class ChartUpdate:
         columns = {f.name: getattr(self, f.name)[index] for f in fields(self)[2:-1]}
         position = None if self.position is None else self.position[index]
         return ChartUpdate(self.array, self.method, position=position, **columns)
+
+    def parts(self, rows: int) -> Iterator[ChartUpdate]:
+        """The same in pieces of at most `rows` rows, none where there is no row."""
+        if 0 < len(self) <= rows:
+            yield self
+            return
+        for start in range(0, len(self), rows):
+            yield self.take(np.arange(start, min(start + rows, len(self))))
 
     @staticmethod
     def concatenate(updates: list[ChartUpdate]) -> ChartUpdate:

@@ -21,6 +21,10 @@ from chachart.sinks.plain import plain, rounded
 
 CHUNK_BYTES = 256 * 1024
 FLUSH_S = 5.0
+ROWS_PER_MESSAGE = 4096
+MOST_WAITING = 64
+LARGEST_SHARE = 0.1
+"""Writing charts may take such a share of the time; with very many UEs they are written less often."""
 DECIMALS = {"theta": 6, "theta_std": 6, "snr": 2, "snapshots": 1}
 """Digits worth keeping; ranges and coordinates are kept to the millimetre."""
 
@@ -72,7 +76,7 @@ class ChartLog(Sink):
         super().__init__(settings, array)
         self._file: BinaryIO | None = None
         self._path: Path | None = None
-        self._waiting: ChartUpdate | None = None
+        self._waiting: list[ChartUpdate] = []
         self._write_at = self._flush_at = 0.0
 
     @classmethod
@@ -92,8 +96,9 @@ class ChartLog(Sink):
 
     def on_chart(self, update: ChartUpdate) -> None:
         """Gather the update; write what is gathered when it is time."""
-        waiting = self._waiting
-        self._waiting = update if waiting is None else ChartUpdate.concatenate([waiting, update])
+        self._waiting.append(update)
+        if len(self._waiting) > MOST_WAITING:
+            self._waiting = [ChartUpdate.concatenate(self._waiting)]
         if time.monotonic() >= self._write_at:
             self._write_waiting()
 
@@ -126,10 +131,15 @@ class ChartLog(Sink):
         return None if self._path is None else str(self._path)
 
     def _write_waiting(self) -> None:
-        update, self._waiting = self._waiting, None
-        if update is not None:
-            self._write_at = time.monotonic() + self.settings.every_s
-            self._write("chart", _chart(update))
+        if not self._waiting:
+            return
+        update, self._waiting = ChartUpdate.concatenate(self._waiting), []
+        begin = time.monotonic()
+        for part in update.parts(ROWS_PER_MESSAGE):
+            self._write("chart", _chart(part))
+        if self.settings.every_s:
+            took = time.monotonic() - begin
+            self._write_at = begin + max(self.settings.every_s, took / LARGEST_SHARE)
 
     def _write(self, kind: str, values: dict[str, Any]) -> None:
         if self._file is None:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, ClassVar, Literal
 
-import numpy as np
 import zmq
 from pydantic import Field
 
@@ -73,9 +72,7 @@ class Publisher(Sink):
 
     def on_chart(self, update: ChartUpdate) -> None:
         """Publish the update, a long one as several messages."""
-        for start in range(0, len(update), ROWS_PER_MESSAGE):
-            rows = np.arange(start, min(start + ROWS_PER_MESSAGE, len(update)))
-            part = update if len(rows) == len(update) else update.take(rows)
+        for part in update.parts(ROWS_PER_MESSAGE):
             self._send("chart", partial(encode_chart, part))
 
     def on_quality(self, report: dict[str, Any]) -> None:

@@ -49,3 +49,11 @@ def test_take() -> None:
     assert taken.ue.tolist() == [3, 4]
     assert taken.position is not None
     assert len(taken) == 2
+
+
+@pytest.mark.parametrize(("ues", "sizes"), [(0, []), (3, [3]), (4, [4]), (10, [4, 4, 2])])
+def test_parts(ues: int, sizes: list[int]) -> None:
+    chart = some_chart(ues)
+    parts = list(chart.parts(4))
+    assert [len(part) for part in parts] == sizes
+    assert [ue for part in parts for ue in part.ue.tolist()] == list(range(ues))
