@@ -1,9 +1,9 @@
 """Where an array is and which way it looks: world positions, (theta, rho) and chart coordinates.
 
-Conventions (DESIGN of the chart): element n of the array sits at `position_m + n * element_spacing_m * axis`;
-theta is the cone angle to `axis` in 0..pi; rho is the slant range. In the chart, y runs along the axis and
-x along broadside: `x = rho sin(theta)`, `y = rho cos(theta)`. A linear array cannot tell its two sides apart;
-the chart takes the broadside one.
+Element n of the array sits at `position_m + n * element_spacing_m * axis`. Seen from the middle of the array,
+which is what all elements together measure from, theta is the cone angle to `axis` in 0..pi and rho the slant
+range. In the chart, y runs along the axis and x along broadside: `x = rho sin(theta)`, `y = rho cos(theta)`.
+A linear array cannot tell its two sides apart; the chart takes the broadside one.
 """
 
 from __future__ import annotations
@@ -110,9 +110,15 @@ class ArrayGeometry:
         steps = np.arange(self.antennas, dtype=np.float64)[:, None] * self.element_spacing_m
         return np.asarray(self.position_m, np.float64) + steps * np.asarray(self.axis, np.float64)
 
+    @property
+    def centre_m(self) -> FloatArray:
+        """World position (3,) of the middle of the array, the chart's origin."""
+        middle: FloatArray = self.element_positions().mean(axis=0)
+        return middle
+
     def theta_rho(self, position: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
-        """True cone angle (rad) and slant range (m) of world positions (..., 3)."""
-        offset = np.asarray(position, np.float64) - np.asarray(self.position_m)
+        """True cone angle (rad) and slant range (m) of world positions (..., 3), from the array's middle."""
+        offset = np.asarray(position, np.float64) - self.centre_m
         rho: FloatArray = np.linalg.norm(offset, axis=-1)
         cosine = np.divide(offset @ np.asarray(self.axis), rho, out=np.zeros_like(rho), where=rho > 0)
         return np.arccos(np.clip(cosine, -1.0, 1.0)), rho
@@ -130,8 +136,8 @@ class ArrayGeometry:
         return x, y
 
     def chart_of(self, position: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
-        """Chart-frame coordinates (m) of world positions (..., 3): x along broadside, y along the axis."""
-        offset = np.asarray(position, np.float64) - np.asarray(self.position_m)
+        """Chart coordinates (m) of world positions (..., 3): x along broadside, y along the axis."""
+        offset = np.asarray(position, np.float64) - self.centre_m
         return offset @ np.asarray(self.broadside), offset @ np.asarray(self.axis)
 
     def mismatches(self, other: ArrayGeometry) -> list[str]:

@@ -47,7 +47,7 @@ def test_theta_rho_and_chart_agree_in_the_plane_of_the_chart(
 ) -> None:
     """A point in front of the array, on the plane of axis and broadside, is charted where it is."""
     array = ArrayGeometry.from_dict({**array.as_dict(), "height_m": None})
-    point = np.array(array.position_m) + abs(x) * np.array(array.broadside) + y * np.array(array.axis)
+    point = array.centre_m + abs(x) * np.array(array.broadside) + y * np.array(array.axis)
     theta, rho = array.theta_rho(point)
     chart = np.array(array.chart_xy(theta, rho))
     # arccos near the axis turns an error of 1e-16 in the cosine into one of 1e-8 in the angle.
@@ -58,14 +58,15 @@ def test_theta_rho_and_chart_agree_in_the_plane_of_the_chart(
 
 def test_theta_grows_from_the_axis() -> None:
     array = small_array()
-    theta, rho = array.theta_rho(np.array([[0, 5, 0], [5, 0, 0], [0, -5, 0], [0, 0, 0]]))
+    around = np.array([[0, 5, 0], [5, 0, 0], [0, -5, 0], [0, 0, 0]])
+    theta, rho = array.theta_rho(array.centre_m + around)
     np.testing.assert_allclose(theta, [0, math.pi / 2, math.pi, math.pi / 2])
     np.testing.assert_allclose(rho, [5, 5, 5, 0])
 
 
 def test_the_height_projects_to_the_ground() -> None:
     array = small_array(position_m=(0.0, 0.0, 10.0), height_m=8.5)
-    point = np.array([120.0, -50.0, 1.5])
+    point = array.centre_m + np.array([120.0, -50.0, -8.5])
     x, y = array.chart_xy(*array.theta_rho(point))
     np.testing.assert_allclose([x, y], [120, -50])
     x, y = array.chart_xy(np.array(1.5), np.array(3.0))

@@ -62,8 +62,8 @@ def test_truth_is_in_chart_coordinates() -> None:
     sent = update(5)
     assert sent.position is not None
     _, columns = read(encode_frame(sent, ARRAY, full=False))
-    np.testing.assert_allclose(columns["true_x"], sent.position[:, 0] - 1.0, rtol=1e-5)
-    np.testing.assert_allclose(columns["true_y"], sent.position[:, 1] - 2.0, rtol=1e-5)
+    np.testing.assert_allclose(columns["true_x"], sent.position[:, 0] - ARRAY.centre_m[0], rtol=1e-5)
+    np.testing.assert_allclose(columns["true_y"], sent.position[:, 1] - ARRAY.centre_m[1], rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["true_x", "true_y"])
