@@ -35,7 +35,7 @@ class ControlSettings(SinkSettings):
     """Where the REP socket listens; anything but loopback and ipc needs a token."""
     token: str | None = Field(None, min_length=16, repr=False)
     """What requests from other machines must carry: 16 characters or more."""
-    record_folder: Path = Path(".")
+    record_folder: Path = Field(Path("."), validate_default=False)
     """Where recordings go; a request names a file in it and nothing else."""
 
     @model_validator(mode="after")

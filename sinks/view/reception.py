@@ -2,8 +2,8 @@
 
 The node sends chart frames (binary, `chachart.sinks.view.frames`) and as JSON text `hello`, `status` and
 `quality`. The page sends `{"id", "op", arguments}` and gets `{"type": "answer", "id", "result" | "error"}`.
-Besides the operations of `chachart.sinks.operations`, `{"op": "stream", "on"}` stops and resumes charts and
-`{"op": "sync"}` asks for the whole chart.
+Besides the operations of `chachart.sinks.operations`, `{"op": "stream", "on"}` stops and resumes charts,
+`{"op": "sync"}` asks for the whole chart, and `{"op": "curve"}` for TW and CT against K.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from websockets.exceptions import ConnectionClosed
 from chachart.config.settings import RhoMethod, ThetaMethod
 from chachart.node.errors import RequestError
 from chachart.sinks.operations import Operations
+from chachart.sinks.view.curve import CurveKeeper
 from chachart.sinks.view.hub import Hub, Viewer
 
 TRY_AGAIN = 1013
@@ -33,7 +34,7 @@ class Reception:
     ----------
     hub
         Where the charts come from.
-    operations
+    operations, curve
         What viewers may ask.
     max_viewers
         So many may be there at the same time.
@@ -41,9 +42,12 @@ class Reception:
         Changes with the page's files, so that a page left open loads itself anew after an upgrade.
     """
 
-    def __init__(self, hub: Hub, operations: Operations, max_viewers: int, page_id: str) -> None:
+    def __init__(
+        self, hub: Hub, operations: Operations, curve: CurveKeeper, max_viewers: int, page_id: str
+    ) -> None:
         self._hub = hub
         self._operations = operations
+        self._curve = curve
         self._max_viewers = max_viewers
         self._page_id = page_id
 
@@ -96,6 +100,8 @@ class Reception:
         if asked == {"op": "sync"}:
             viewer.start_over()
             return {}
+        if asked == {"op": "curve"}:
+            return await self._curve.get()
         if asked.get("op") == "stream" and type(asked.get("on")) is bool:
             viewer.flow(asked["on"])
             return {}

@@ -23,6 +23,7 @@ from chachart.node.geometry import ArrayGeometry
 from chachart.sinks.base import NodeAccess, Sink
 from chachart.sinks.metrics import metrics_routes
 from chachart.sinks.operations import CHANGING, READING, Operations
+from chachart.sinks.view.curve import CurveKeeper
 from chachart.sinks.view.hub import Hub, report
 from chachart.sinks.view.reception import Reception
 from chachart.sinks.web.health import Health, health_routes
@@ -46,7 +47,7 @@ class ViewSettings(WebSettings):
     """Chart frames a second to each viewer."""
     max_viewers: int = Field(64, ge=1, le=1024)
     """So many may look at the same time."""
-    record_folder: Path = Path(".")
+    record_folder: Path = Field(Path("."), validate_default=False)
     """Where recordings that viewers start go; they choose the file's name and nothing else."""
 
 
@@ -80,7 +81,8 @@ class View(Sink):
         self._hub = Hub(self.array, node, self.settings.rate_hz)
         operations = Operations(node, self.settings.record_folder)
         page_id = hashlib.sha256(b"".join(self._pages.values())).hexdigest()[:16]
-        reception = Reception(self._hub, operations, self.settings.max_viewers, page_id)
+        curve = CurveKeeper(node, self.array)
+        reception = Reception(self._hub, operations, curve, self.settings.max_viewers, page_id)
         routes = {
             **self._page_routes(),
             **_control_routes(operations),

@@ -23,7 +23,7 @@ from urllib.parse import parse_qsl, quote, urlencode, urlsplit
 
 from pydantic import Field, model_validator
 from websockets.asyncio.server import ServerConnection, serve
-from websockets.datastructures import Headers
+from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
 from chachart.node.errors import RequestError, SetupError
@@ -252,12 +252,15 @@ class WebServer:
         query = dict(parse_qsl(url.query, max_num_fields=32))
         given = query.pop("token", None)
         peer = str(connection.remote_address[0])
-        refusal = self._access.refusal(peer, request.headers, given)
+        try:
+            refusal = self._access.refusal(peer, request.headers, given)
+        except MultipleValuesError as error:
+            refusal = 400, f"the header {error} occurs twice"
         if refusal is not None:
             return _response(self._turn_away(*refusal))
         if url.path == "/ws" and self._socket is not None:
             return None
-        if given is not None and "text/html" in request.headers.get("Accept", ""):
+        if given is not None and "text/html" in ",".join(request.headers.get_all("Accept")):
             return _response(_remember(given, url.path, query))
         method = "GET" if request.method == "HEAD" else request.method
         response = _response(await self._answer(method, url.path, query))

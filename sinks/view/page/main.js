@@ -3,7 +3,7 @@
 import { redraw } from './curve.js';
 import { saveCsv, savePng, stamp } from './export.js';
 import { bindKeys } from './keys.js';
-import { number, showHistory, showNode, showQuality, showSpectra, showUser } from './panels.js';
+import { number, showHistory, showNode, showQuality, showQualityAgainstK, showQualityOverTime, showSpectra, showUser } from './panels.js';
 import { Picture } from './picture.js';
 import { Stream } from './stream.js';
 import { World } from './world.js';
@@ -59,7 +59,7 @@ stream.addEventListener('hello', ({ detail }) => {
   }
   statuses = hello.statuses;
   qualities = hello.qualities;
-  showQuality(qualities.at(-1), qualities, $('qualityof').value);
+  takeQuality();
   if (statuses.length) takeStatus(statuses.at(-1));
 });
 
@@ -91,8 +91,21 @@ function takeStatus(status) {
 
 stream.addEventListener('quality', ({ detail }) => {
   qualities = [...qualities, detail].slice(-KEPT);
-  showQuality(detail, qualities, $('qualityof').value);
+  takeQuality();
 });
+
+async function takeQuality() {
+  showQuality(qualities.at(-1));
+  if ($('qualityof').value === 'time') {
+    showQualityOverTime(qualities);
+    return;
+  }
+  try {
+    showQualityAgainstK(await stream.ask('curve'));
+  } catch (error) {
+    showQualityAgainstK(null, error.message);
+  }
+}
 
 // ---- once a second: ranges, key, selected UE --------------------------------------------------------------
 function key() {
@@ -245,11 +258,11 @@ $('find').addEventListener('submit', (event) => {
   else toast(`No UE ${text} in the chart`);
 });
 for (const kind of ['theta', 'rho']) $(kind).addEventListener('change', () => changeMethod(kind));
-$('qualityof').addEventListener('change', () => showQuality(qualities.at(-1), qualities, $('qualityof').value));
+$('qualityof').addEventListener('change', takeQuality);
 $('historyof').addEventListener('change', refresh);
 const clicks = {
   pause, record, png, csv, theme: () => theme(dark() ? 'light' : 'dark'), reset: () => picture.fit(), close: () => select(null),
-  in: () => picture.view.zoom(1.4), out: () => picture.view.zoom(1 / 1.4), help: () => $('keys').showModal(),
+  in: () => picture.view.zoom(1.4), out: () => picture.view.zoom(1 / 1.4), help: () => $('keys').showModal(), cancel: () => $('recording').close(),
 };
 for (const [id, run] of Object.entries(clicks)) $(id).addEventListener('click', run);
 

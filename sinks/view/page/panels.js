@@ -69,34 +69,35 @@ export function showNode(status, past) {
   });
 }
 
-/** TW and CT, over time or against K; `past` are earlier reports, oldest first. */
-export function showQuality(report, past, against) {
-  if (!report) {
-    facts(element('qualityfacts'), []);
-    curve(element('qualityplot'), { series: [], x: {}, y: {}, empty: 'needs UEs whose position is known' });
-    return;
-  }
-  const error = report.error_m ?? {};
-  facts(element('qualityfacts'), [
-    ['Trustworthiness', number(report.tw, 4), { unit: `K = ${report.k}`, kind: 'big' }],
-    ['Continuity', number(report.ct, 4), { unit: `${number(report.ues)} UEs`, kind: 'big' }],
-    ['Error, median', number(error.median), { unit: 'm' }],
-    ['90 %', number(error.p90), { unit: 'm' }],
+const shares = (v) => (Number.isFinite(v) ? v.toFixed(4) : '–');
+const lines = (x, tw, ct) => [{ x, y: tw, colour: 'a', name: 'TW' }, { x, y: ct, colour: 'b', name: 'CT' }];
+
+/** The latest quality report, if there is any. */
+export function showQuality(report) {
+  facts(element('qualityfacts'), !report ? [] : [
+    ['Trustworthiness', shares(report.tw), { unit: `K = ${report.k}`, kind: 'big' }],
+    ['Continuity', shares(report.ct), { unit: `${number(report.ues)} UEs`, kind: 'big' }],
+    ['Error, median', number(report.error_m), { unit: 'm' }],
+    ['90 %', number(report.error_p90_m), { unit: 'm' }],
+    ['Mean', number(report.error_mean_m), { unit: 'm' }],
     ['Stress', number(report.stress)],
   ]);
-  const series = (x, tw, ct) => [{ x, y: tw, colour: 'a', name: 'TW' }, { x, y: ct, colour: 'b', name: 'CT' }];
-  if (against === 'k') {
-    const rows = report.curve ?? [];
-    curve(element('qualityplot'), {
-      series: series(rows.map((r) => r.k), rows.map((r) => r.tw), rows.map((r) => r.ct)),
-      x: { label: 'K neighbours' }, y: { label: '' }, marks: [{ x: report.k, colour: 'quiet', dashed: true }], empty: 'no curve in this report',
-    });
-    return;
-  }
-  const now = past.at(-1).time_ns;
+}
+
+/** TW and CT over time; `past` are reports, oldest first. */
+export function showQualityOverTime(past) {
+  const now = past.at(-1)?.time_ns;
   curve(element('qualityplot'), {
-    series: series(past.map((r) => (r.time_ns - now) / 1e9), past.map((r) => r.tw), past.map((r) => r.ct)),
-    x: { label: 's ago' }, y: { label: '' },
+    series: lines(past.map((r) => (r.time_ns - now) / 1e9), past.map((r) => r.tw), past.map((r) => r.ct)),
+    x: { label: 's ago' }, y: { label: '' }, empty: 'needs UEs whose position is known',
+  });
+}
+
+/** TW and CT against the number of neighbours: {k, tw, ct}, or why there is no such curve. */
+export function showQualityAgainstK(found, empty) {
+  curve(element('qualityplot'), {
+    series: found ? lines(found.k, found.tw, found.ct) : [],
+    x: { label: 'K' }, y: { label: '' }, empty,
   });
 }
 

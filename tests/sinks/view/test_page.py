@@ -1,0 +1,212 @@
+"""The real page in headless Chromium against a real node."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from live_node import LiveNode, free_port, tool, until
+from playwright.sync_api import Page, sync_playwright
+
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+PLACE = """(row) => {
+    const { world, picture } = window.chachart;
+    const pane = picture.view.panes().at(-1);
+    const box = document.getElementById('plot').getBoundingClientRect();
+    const x = box.x + 1 + pane.x0 + world.px[row] * pane.scale;
+    return [x, box.y + 1 + pane.y0 - world.py[row] * pane.scale];
+}"""
+"""Where on the page a row of the table is drawn."""
+DRAWN = """(id) => {
+    const canvas = document.querySelector(id);
+    const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+    return canvas.width > 300 && pixels.data.some(Boolean);
+}"""
+"""Whether something is on a canvas."""
+
+
+@contextmanager
+def browse(url: str, **context: Any) -> Iterator[tuple[Page, list[str]]]:
+    """The node's page with its chart on it, and what the console complains about."""
+    chromium = tool("chromium", "chromium")
+    complaints: list[str] = []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=ARGUMENTS)
+        page = browser.new_page(**context)
+        page.set_default_timeout(30_000)
+        page.on("console", lambda m: complaints.append(m.text) if m.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.goto(url)
+        yield page, complaints
+        browser.close()
+
+
+def wait(page: Page, expression: str, arg: Any = None) -> None:
+    """Until an expression, or a function of `arg`, is true; the page's policy forbids to poll in the page."""
+    until(lambda: page.evaluate(expression, arg) or page.wait_for_timeout(30), expression)
+
+
+def all_there(page: Page) -> None:
+    page.wait_for_selector("#plot")
+    wait(page, "window.chachart?.world.rows === 60")
+
+
+def test_points_move_a_click_shows_spectra_and_the_method_changes(tmp_path: Path) -> None:
+    port = free_port()
+    sinks = f'[[sinks]]\ntype = "view"\nport = {port}'
+    source = 'motion = "waypoint"\nspeed_m_s = 20.0'
+    node = LiveNode(tmp_path, sinks, source=source)
+    with node, browse(f"http://127.0.0.1:{port}/") as (page, complaints):
+        all_there(page)
+        page.wait_for_selector("#link[data-state=live]")
+        before = page.evaluate("Array.from(chachart.world.px.slice(0, 60))")
+        wait(
+            page,
+            "before => before.filter((x, row) => Math.abs(x - chachart.world.px[row]) > 5).length > 30",
+            arg=before,
+        )
+        assert page.evaluate("chachart.picture.drawn") > 10
+
+        wait(page, "chachart.picture.view.auto && chachart.picture.view.scale !== 1")
+        page.mouse.click(*page.evaluate(PLACE, 7))
+        page.wait_for_selector("#user:not([hidden])")
+        ue = page.evaluate("`${chachart.picture.ue}`")
+        assert page.inner_text("#username") == f"UE {ue}"
+        assert "SNR" in page.inner_text("#userfacts")
+        for curve in ("#thetaplot", "#rhoplot", "#historyplot"):
+            wait(
+                page,
+                DRAWN,
+                arg=curve,
+            )
+
+        page.select_option("#theta", "music")
+        page.wait_for_selector("#toast:has-text('music')")
+        chosen = {"theta": "music", "rho": "bartlett"}
+        until(lambda: node.ask("api/status")["method"] == chosen, "the node uses the method")
+        until(lambda: node.ask("api/chart")["method"] == chosen, "the chart is made with it")
+        page.select_option("#qualityof", "k")
+        assert complaints == []
+
+        node.stop(kill=True)
+        page.wait_for_selector("#link[data-state=gone]")
+        assert "node is gone" in page.inner_text("#gone")
+        assert page.is_disabled("#theta")
+        last = page.evaluate("chachart.world.newest")
+        with node:
+            page.wait_for_selector("#link[data-state=live]")
+            wait(page, "last => chachart.world.newest > last + 1000", arg=last)
+            assert page.is_hidden("#gone")
+            wait(page, "document.getElementById('theta').value === 'bartlett'")
+        unexpected = [text for text in complaints if "WebSocket" not in text]
+        assert unexpected == []
+
+
+def test_everything_works_from_the_keyboard(node: LiveNode, tmp_path: Path) -> None:
+    with browse(node.address("view"), color_scheme="dark") as (page, complaints):
+        all_there(page)
+        press = page.keyboard.press
+        press("?")
+        assert "zoom in, out" in page.inner_text("#keys[open]")
+        press("Escape")
+        page.wait_for_selector("#keys[open]", state="detached")
+        press("n")
+        page.wait_for_selector("#username:has-text('UE 0')")
+        press("n")
+        page.wait_for_selector("#username:has-text('UE 1')")
+        assert "UE 1" in page.inner_text("#said")
+        press("p")
+        page.wait_for_selector("#username:has-text('UE 0')")
+        press("/")
+        page.keyboard.type("42")
+        press("Enter")
+        page.wait_for_selector("#username:has-text('UE 42')")
+        press("Escape")
+        press("Escape")
+        page.wait_for_selector("#user", state="hidden")
+
+        view = "JSON.stringify([chachart.picture.view.centre, chachart.picture.view.scale])"
+        seen = [page.evaluate(view)]
+        for key in ("ArrowLeft", "ArrowUp", "+", "-", "-", "0"):
+            press(key)
+            seen.append(page.evaluate(view))
+        assert all(a != b for a, b in pairwise(seen))
+        press("t")
+        assert page.input_value("#truth") == "under"
+        press("c")
+        assert page.input_value("#colour") == "snr"
+        press("l")
+        assert not page.is_checked("#trails")
+        assert page.get_attribute("html", "data-theme") == "dark"
+        press("d")
+        assert page.get_attribute("html", "data-theme") == "light"
+
+        press(" ")
+        page.wait_for_selector("#link[data-state=paused]")
+        version = page.evaluate("chachart.stream.ask('status').then(() => chachart.world.version)")
+        press(" ")
+        wait(page, "version => chachart.world.version > version", arg=version)
+
+        with page.expect_download() as table:
+            press("e")
+        table.value.save_as(tmp_path / "chart.csv")
+        with page.expect_download() as picture:
+            press("s")
+        picture.value.save_as(tmp_path / "chart.png")
+        assert complaints == []
+    with (tmp_path / "chart.csv").open() as file:
+        assert sorted(int(row["ue"]) for row in csv.DictReader(file)) == list(range(60))
+    assert (tmp_path / "chart.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_recording_by_hand(node: LiveNode) -> None:
+    with browse(node.address("view")) as (page, complaints):
+        all_there(page)
+        page.click("#record")
+        page.fill("#file", "page.mcap")
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#record[aria-pressed=true]")
+        page.click("#record")
+        page.wait_for_selector("#record[aria-pressed=false]")
+        assert complaints == []
+    assert (node.folder / "page.mcap").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("size", [(390, 844), (844, 390)])
+def test_it_fits_a_phone_and_takes_a_tap(node: LiveNode, size: tuple[int, int]) -> None:
+    phone: Any = {"viewport": {"width": size[0], "height": size[1]}, "has_touch": True, "is_mobile": True}
+    with browse(node.address("view"), **phone) as (
+        page,
+        complaints,
+    ):
+        all_there(page)
+        wait(page, "chachart.picture.view.auto && chachart.picture.view.scale !== 1")
+        assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        page.locator("#plot").scroll_into_view_if_needed()
+        page.touchscreen.tap(*page.evaluate(PLACE, 5))
+        page.wait_for_selector("#user:not([hidden])")
+        assert complaints == []
+
+
+def test_a_visitor_from_elsewhere_is_asked_for_the_token(node: LiveNode, token: str) -> None:
+    headers = {"X-Forwarded-For": "10.0.0.7"}
+    with browse(node.address("view"), extra_http_headers=headers) as (page, complaints):
+        assert page.title() == "chachart: token"
+        page.fill("input[name=token]", token)
+        page.keyboard.press("Enter")
+        all_there(page)
+        assert "token" not in page.url
+        assert [text for text in complaints if "401" not in text] == []
