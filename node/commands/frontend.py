@@ -24,9 +24,11 @@ from chachart.config.load import load
 from chachart.config.registry import source_class
 from chachart.config.settings import ArraySettings
 from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
 from chachart.sources.base import Source
+from chachart.sources.frontend.can import CanSettings
 from chachart.sources.frontend.device import FaultSettings, Link, Report, SimulatedFrontEnd
+from chachart.sources.frontend.loopback import LoopbackSettings, loopback_settings
+from chachart.sources.frontend.serial import SerialSettings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -86,22 +88,19 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _source(arguments: argparse.Namespace) -> Source:
-    """The recording, or the configuration's own source."""
+    """The recording, or the configuration's source: a loopback's scenario where it has one."""
     if arguments.recording is not None:
-        recording = source_class("recording")
-        settings = recording.Settings.model_validate(
-            {"type": "recording", "path": arguments.recording, "speed": arguments.speed}
-        )
-        array = recording.carried_array(settings)
+        cls = source_class("recording")
+        table = {"type": "recording", "path": arguments.recording, "speed": arguments.speed}
+        settings, array = cls.Settings.model_validate(table), None
     else:
         configuration = load(arguments.config, arguments.set)
-        settings = configuration.source
-        recording = source_class(settings.type)
-        array = recording.carried_array(settings)
-        if array is None:
-            array = (configuration.array or ArraySettings()).geometry()
-    assert isinstance(array, ArrayGeometry)
-    return recording(settings, array)
+        settings, array = configuration.source, configuration.array
+        if isinstance(settings, SerialSettings | CanSettings):
+            settings = (loopback_settings(settings.loopback) or LoopbackSettings()).scenario
+        cls = source_class(settings.type)
+    carried = cls.carried_array(settings)
+    return cls(settings, carried or (array or ArraySettings()).geometry())
 
 
 def _link(arguments: argparse.Namespace) -> Link:

@@ -15,7 +15,7 @@ from chachart.sources.base import EndOfSource, Source, SourceSettings
 from chachart.sources.frontend.address import FrontEndAddress, distinct
 from chachart.sources.frontend.can_bus import CanBusSettings, open_bus
 from chachart.sources.frontend.drivers import missing, require
-from chachart.sources.frontend.loopback import Loopback, LoopbackSettings
+from chachart.sources.frontend.loopback import Loopback, LoopbackSettings, loopback_settings
 from chachart.sources.frontend.packet import max_packet_bytes
 from chachart.sources.frontend.retry import Backoff
 from chachart.sources.frontend.session import Intake
@@ -40,7 +40,7 @@ class CanSettings(CanBusSettings):
     """Who is listened to; each sends whole frames of the array, of its own UEs or in turn."""
     retry_max_s: float = Field(5.0, gt=0)
     """Longest wait between two tries to open a bus that has gone; the first is 0.1 s."""
-    loopback: LoopbackSettings | None = None
+    loopback: LoopbackSettings | bool = False
     """Simulate the first front-end in this process, on the same bus (interface "virtual", say)."""
 
     @field_validator("front_ends")
@@ -87,11 +87,11 @@ class CanSource(Source):
         """
         require("can")
         self._connect()
-        if self.settings.loopback is not None:
+        if (simulated := loopback_settings(self.settings.loopback)) is not None:
             from chachart.sources.frontend.can_link import CanLink
 
             link = CanLink(self.settings, self.settings.front_ends[0])
-            self._loopback = Loopback(self.settings.loopback, self.array, link)
+            self._loopback = Loopback(simulated, self.array, link)
             self._loopback.start()
 
     def recv(self, timeout: float) -> CsiBlock | None:

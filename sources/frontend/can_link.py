@@ -11,7 +11,7 @@ from chachart.sources.frontend.can_bus import CanBusSettings, open_bus
 from chachart.sources.frontend.device import Link
 from chachart.sources.frontend.isotp_link import make_layer
 
-FLOW_CONTROL_MS = 5000
+FLOW_CONTROL_MS = 2000
 """How long the device waits for the node to say go on ..."""
 DAMAGED_FLOW_CONTROL_MS = 50
 """... and how long where it has spoiled the packet itself."""

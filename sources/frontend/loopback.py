@@ -20,6 +20,13 @@ class LoopbackSettings(FaultSettings):
     """What it measures."""
 
 
+def loopback_settings(value: LoopbackSettings | bool) -> LoopbackSettings | None:
+    """The settings behind a `loopback` key: a table of them, true for the defaults, false for none."""
+    if isinstance(value, bool):
+        return LoopbackSettings() if value else None
+    return value
+
+
 class Loopback:
     """Runs the simulated front-end.
 

@@ -14,7 +14,7 @@ from chachart.node.errors import SetupError
 from chachart.node.geometry import ArrayGeometry
 from chachart.sources.base import EndOfSource, Source, SourceSettings
 from chachart.sources.frontend.drivers import missing, require
-from chachart.sources.frontend.loopback import Loopback, LoopbackSettings
+from chachart.sources.frontend.loopback import Loopback, LoopbackSettings, loopback_settings
 from chachart.sources.frontend.packet import max_packet_bytes
 from chachart.sources.frontend.retry import Backoff
 from chachart.sources.frontend.session import Intake
@@ -41,7 +41,7 @@ class SerialSettings(SourceSettings):
     """Bits per second; a USB CDC device ignores it."""
     retry_max_s: float = Field(5.0, gt=0)
     """Longest wait between two tries to open a port that has gone; the first is 0.1 s."""
-    loopback: LoopbackSettings | None = None
+    loopback: LoopbackSettings | bool = False
     """Simulate a front-end in this process, on a pseudo-terminal instead of `port`."""
 
 
@@ -69,7 +69,7 @@ class SerialSource(Source):
         if problems := missing("serial"):
             return problems
         port = settings.port
-        if settings.loopback is not None or "://" in port:
+        if settings.loopback or "://" in port:
             return []
         if not os.path.exists(port):
             return [f"port = {port!r}: there is no such device"]
@@ -93,11 +93,11 @@ class SerialSource(Source):
         self._decoder = StreamDecoder(
             max_packet_bytes(self.array.antennas, self.array.subcarriers), self.rejected
         )
-        if self.settings.loopback is not None:
+        if (simulated := loopback_settings(self.settings.loopback)) is not None:
             from chachart.sources.frontend.serial_link import PtyLink
 
             self._pty = PtyLink()
-            self._loopback = Loopback(self.settings.loopback, self.array, self._pty)
+            self._loopback = Loopback(simulated, self.array, self._pty)
         try:
             self._connect()
         except (serial.SerialException, OSError, ValueError) as error:
