@@ -54,7 +54,7 @@ class NodeSettings:
     Attributes
     ----------
     array
-        None where no `[array]` is given: the source's own array is used, or the default one.
+        None where no `[array]` is given: the source must then carry its own.
     source, estimator, workers, quality, sinks
         The other sections of the configuration.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from typing import Any
 
 from chachart.config.settings import EstimatorSettings
@@ -38,15 +39,16 @@ class Charts:
         self._window_ends = 0.0
         self._recent_ms = self._window.percentiles_ms()
 
-    def take(self, update: ChartUpdate, arrival: float, frames: int) -> None:
-        """An update whose first frame came in at `arrival` (monotonic seconds)."""
+    def take(self, update: ChartUpdate, arrivals: Iterable[tuple[float, int]]) -> None:
+        """An update, and when the frames behind it came in: (monotonic seconds, frames)."""
         self.table.update(update)
         self.clock.see(int(update.time_ns.max()))
         for sink in self.sinks:
             sink.put(update)
-        seconds = time.monotonic() - arrival
-        self.latency.add(seconds, frames)
-        self._window.add(seconds, frames)
+        now = time.monotonic()
+        for arrival, frames in arrivals:
+            self.latency.add(now - arrival, frames)
+            self._window.add(now - arrival, frames)
 
     def tick(self) -> None:
         """Forget UEs unseen for too long."""

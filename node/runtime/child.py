@@ -1,8 +1,8 @@
 """How the node's child processes start and end.
 
 A child is a plain `python -m` process, never forked: its settings come as one line of JSON on stdin, its log
-records go out as lines of JSON on stderr. It ignores SIGINT and SIGTERM, which a terminal sends to the whole
-group, and obeys the main process; when stdin ends, the main process is dead and the child goes too.
+records go out as lines of JSON on stderr. It is out of reach of the terminal's signals (a group of its own,
+SIGINT and SIGTERM ignored) and obeys the main process; when stdin ends, that is dead and the child goes too.
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ class Child:
             stderr=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             env={**os.environ, **ONE_THREAD},
+            process_group=0,
         )
         self._reader = threading.Thread(target=self._relay_log, name=f"{name} log", daemon=True)
         self._reader.start()
@@ -100,7 +101,7 @@ class Child:
 
 
 def read_settings() -> dict[str, Any]:
-    """In a child: take up the settings, ignore the terminal's signals, follow the main process in death."""
+    """In a child: take up the settings, ignore signals to end, follow the main process in death."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     settings: dict[str, Any] = json.loads(sys.stdin.buffer.readline())

@@ -168,7 +168,7 @@ class Feeder:
             return
         self._worker_status[shard].update(ues=values["ues"], **values["counters"])
         if update:
-            header = messages.pack({"arrival": pieces[0].arrival, "frames": values["estimated"]})
+            header = messages.pack({"arrivals": [pair for piece in pieces for pair in piece.arrivals]})
             self._results.send_multipart([messages.UPDATE, header, update])
 
     def _send_blocks(self) -> None:

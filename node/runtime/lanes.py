@@ -93,6 +93,7 @@ class Lanes:
             shards = [
                 {
                     "frames_estimated": queue.frames_estimated,
+                    "frames_replayed": queue.frames_replayed,
                     "backlog_frames": queue.frames_held,
                     "backlog_blocks": queue.blocks_held,
                 }

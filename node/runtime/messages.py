@@ -15,7 +15,7 @@ import numpy as np
 from chachart.node.chart import ChartUpdate, Method
 
 HELLO = b"hello"
-"""Worker to feeder: {shard, pid, last}, the last block it has seen or -1."""
+"""Worker to feeder: {shard, pid}; it has seen no block yet."""
 CONFIGURE = b"configure"
 """Feeder to worker: {theta, rho, live}, the answer to its hello."""
 BLOCK = b"block"
@@ -39,7 +39,7 @@ READY = b"ready"
 STARTED = b"started"
 """Feeder to main: {}, all workers are there and reading begins."""
 UPDATE = b"update"
-"""Feeder to main: {arrival, frames}, then the update."""
+"""Feeder to main: {arrivals}, (monotonic seconds, frames) pairs, then the update."""
 STATUS = b"status"
 """Feeder to main: the feeder's counters."""
 SETUP_ERROR = b"setup error"

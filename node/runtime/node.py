@@ -185,7 +185,7 @@ class Node:
 
     def _handle(self, kind: bytes, values: dict[str, Any], rest: list[bytes]) -> None:
         if kind == messages.UPDATE:
-            self._charts.take(messages.unpack_update(rest[0]), values["arrival"], values["frames"])
+            self._charts.take(messages.unpack_update(rest[0]), values["arrivals"])
         elif kind == messages.STATUS:
             self._fed = values
         elif kind == messages.REPLY:
@@ -259,6 +259,7 @@ class Node:
             method=self._method,
             lossless=not self._charts.clock.live,
             seconds=self._run_time(),
+            blocks_in=fed.get("blocks_in", 0),
             frames_in=frames_in,
             frames_estimated=estimated,
             backlog_frames=sum(worker.get("backlog_frames", 0) for worker in workers),

@@ -13,18 +13,18 @@ from chachart.node.csi import CsiBlock
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Piece:
-    """A block for one shard and when its first frame came in (monotonic seconds)."""
+    """A block for one shard, and when its frames came in: (monotonic seconds, frames), first ones first."""
 
     shard: int
     block: CsiBlock
-    arrival: float
+    arrivals: tuple[tuple[float, int], ...]
 
 
 @dataclass(slots=True)
 class _Pending:
     blocks: list[CsiBlock] = field(default_factory=list)
     frames: int = 0
-    arrival: float = 0.0
+    arrivals: list[tuple[float, int]] = field(default_factory=list)
 
 
 def shard_of(ue: NDArray[np.uint64], shards: int) -> NDArray[np.intp]:
@@ -67,12 +67,12 @@ class Partitioner:
         return [
             self._emit(s)
             for s, pending in enumerate(self._pending)
-            if pending.frames and now >= pending.arrival + self._linger
+            if pending.frames and now >= pending.arrivals[0][0] + self._linger
         ]
 
     def deadline(self) -> float | None:
         """When `due` will next have something to give, or None if nothing waits."""
-        arrivals = [p.arrival for p in self._pending if p.frames]
+        arrivals = [p.arrivals[0][0] for p in self._pending if p.frames]
         return min(arrivals) + self._linger if arrivals else None
 
     def flush(self) -> list[Piece]:
@@ -84,9 +84,8 @@ class Partitioner:
         while start < len(block):
             pending = self._pending[shard]
             stop = min(len(block), start + self._block_frames - pending.frames)
-            if not pending.frames:
-                pending.arrival = now
             pending.blocks.append(_cut(block, start, stop))
+            pending.arrivals.append((now, stop - start))
             pending.frames += stop - start
             start = stop
             if pending.frames == self._block_frames:
@@ -95,7 +94,7 @@ class Partitioner:
     def _emit(self, shard: int) -> Piece:
         pending = self._pending[shard]
         self._pending[shard] = _Pending()
-        return Piece(shard, CsiBlock.concatenate(pending.blocks), pending.arrival)
+        return Piece(shard, CsiBlock.concatenate(pending.blocks), tuple(pending.arrivals))
 
 
 def _cut(block: CsiBlock, start: int, stop: int) -> CsiBlock:

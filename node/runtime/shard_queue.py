@@ -49,6 +49,7 @@ class ShardQueue:
         self._next_seq = 0
         self.frames_held = 0
         self.frames_estimated = 0
+        self.frames_replayed = 0
         self.dropped = Counters()
 
     @property
@@ -102,7 +103,9 @@ class ShardQueue:
             if held[0].deaths >= MAX_DEATHS:
                 self._drop(held.pop(0), "worker_killer")
         self._waiting.extendleft(reversed(held))
-        return sum(len(entry.piece.block) for entry in held)
+        frames = sum(len(entry.piece.block) for entry in held)
+        self.frames_replayed += frames
+        return frames
 
     def abandon(self, reason: str) -> None:
         """Drop all that is held and count it."""

@@ -23,6 +23,8 @@ class NodeStatus:
         Whether the source waits (True) or the oldest waiting block is dropped (False).
     seconds
         Since reading began.
+    blocks_in
+        Blocks that came from the source.
     frames_in, frames_estimated, backlog_frames
         Came in; estimated; waiting or unacknowledged. After a drain
         frames_in = frames_estimated + sum(dropped).
@@ -41,8 +43,9 @@ class NodeStatus:
     quality
         The latest quality report, or None.
     workers
-        One map each: {shard, pid, restarts, ues, frames_estimated, backlog_frames, backlog_blocks}; pid is
-        None while there is no worker.
+        One map each: {shard, pid, restarts, ues, frames_estimated, frames_replayed, backlog_frames,
+        backlog_blocks, untrained}; pid is None while there is no worker. `frames_replayed` went to a
+        successor, `untrained` counts estimates held back until LR was trained.
     sinks
         One map each: {name, where, received, dropped, errors}.
     recording
@@ -57,6 +60,7 @@ class NodeStatus:
     method: dict[str, str] = field(default_factory=dict)
     lossless: bool = False
     seconds: float = 0.0
+    blocks_in: int = 0
     frames_in: int = 0
     frames_estimated: int = 0
     backlog_frames: int = 0

@@ -46,7 +46,7 @@ class Worker:
 
     def run(self) -> None:
         """Serve until the feeder says that nothing more will come."""
-        hello = {"shard": self._shard, "pid": os.getpid(), "last": self._last}
+        hello = {"shard": self._shard, "pid": os.getpid()}
         self._socket.send_multipart([messages.HELLO, messages.pack(hello)])
         while (message := self._receive(IDLE_MS)) is None or message[0] != messages.END:
             if message is not None:

@@ -9,7 +9,9 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 
+import msgpack
 import pytest
+import zmq
 from node_runs import Running, adds_up, until
 
 RunNode = Callable[..., Running]
@@ -117,6 +119,40 @@ def test_kill_9_of_a_worker_under_live_load(run_node: RunNode) -> None:
     assert adds_up(summary)
     assert set(summary["dropped"]) <= {"worker_lost", "queue_full"}
     assert summary["frames_estimated"] > 0
+
+
+def test_anybody_can_subscribe_even_while_a_worker_is_killed(run_node: RunNode, tmp_path: Path) -> None:
+    endpoint = f"ipc://{tmp_path / 'charts'}"
+    node = run_node(LIVE + f'[[sinks]]\ntype = "publisher"\nendpoint = "{endpoint}"\n')
+    with zmq.Context() as context, context.socket(zmq.SUB) as subscriber:
+        subscriber.connect(endpoint)
+        for kind in ("chart", "status", "quality"):
+            subscriber.subscribe(f"{kind}.lab".encode())
+        seen: set[int] = set()
+        kinds: set[str] = set()
+        killed = None
+
+        def enough() -> bool:
+            nonlocal killed
+            while subscriber.poll(0):
+                topic, body = subscriber.recv_multipart()
+                message = msgpack.unpackb(body)
+                assert topic == f"{message['type']}.lab".encode()
+                kinds.add(message["type"])
+                if message["type"] == "chart":
+                    seen.update(message["ue"])
+                    assert len(message["ue"]) == len(message["x"]) == len(message["theta"])
+                if message["type"] == "status" and len(seen) == 50 and killed is None:
+                    killed = message["workers"][0]["pid"]
+                    os.kill(killed, signal.SIGKILL)
+                    seen.clear()
+            return killed is not None and len(seen) == 50 and kinds == {"chart", "status", "quality"}
+
+        until(enough, "all UEs are published, again after a kill")
+    node.signal(signal.SIGINT)
+    assert node.finish() == 0
+    assert node.summary()["worker_restarts"] == 1
+    assert adds_up(node.summary())
 
 
 def test_duration_ends_it(run_node: RunNode) -> None:

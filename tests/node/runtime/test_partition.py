@@ -64,7 +64,7 @@ def test_a_block_that_waited_long_enough_is_due() -> None:
     assert partitioner.due(1.0049) == []
     [piece] = partitioner.due(1.005)
     assert len(piece.block) == 15
-    assert piece.arrival == 1.0
+    assert piece.arrivals == ((1.0, 10), (1.004, 5))
     assert partitioner.deadline() is None
     assert partitioner.flush() == []
 

@@ -13,7 +13,7 @@ from chachart.node.runtime.shard_queue import MAX_DEATHS, Entry, ShardQueue
 
 def piece(frames: int = 1, number: int = 0) -> Piece:
     ue, time_ns = np.zeros(frames, np.uint64), np.full(frames, number)
-    return Piece(0, CsiBlock("lab", number, ue, time_ns, np.zeros((frames, 1, 1), np.complex64)), 0.0)
+    return Piece(0, CsiBlock("lab", number, ue, time_ns, np.zeros((frames, 1, 1), np.complex64)), ())
 
 
 def numbers(entries: list[Entry]) -> list[int]:
@@ -52,6 +52,7 @@ def test_lossless_queue_replays_in_order_with_the_same_numbers() -> None:
     again = take_all(queue)
     assert numbers(again) == [1, 2, 3, 4]
     assert [entry.seq for entry in again] == [1, 2, 3, 4]
+    assert queue.frames_replayed == 3
 
 
 def test_live_queue_counts_what_a_dead_worker_held() -> None:

@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from csi_samples import small_array, some_block
+
+import chachart.config
+from chachart.config.load import load
+from chachart.config.settings import ArraySettings, EstimatorSettings
+from chachart.node.errors import SetupError
+from chachart.node.recording import RecordingWriter
+from chachart.node.runtime.plan import Plan, check, estimator_problems, resolve_array
+from chachart.sources.recording import Recording, RecordingSettings
+from chachart.sources.simulator import Simulator, SimulatorSettings
+
+SHIPPED = sorted(Path(str(chachart.config.__file__)).parent.glob("*.toml"))
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Path:
+    path = tmp_path / "capture.mcap"
+    with RecordingWriter(path, small_array()) as writer:
+        writer.write(some_block())
+    return path
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_shipped_configurations_make_a_plan(path: Path, capture: Path) -> None:
+    replays = load(path).source.type == "recording"
+    settings = load(path, [f"source.path={capture}"] if replays else [])
+    plan = Plan.of(settings)
+    assert estimator_problems(plan.array, plan.estimator) == []
+
+
+def test_the_source_may_carry_the_array(capture: Path) -> None:
+    assert resolve_array(None, Recording, RecordingSettings(path=capture)) == small_array()
+
+
+def test_an_array_that_agrees_keeps_its_own_name(capture: Path) -> None:
+    array = small_array()
+    own = ArraySettings(
+        name="roof",
+        antennas=array.antennas,
+        subcarriers=array.subcarriers,
+        subcarrier_spacing_hz=array.subcarrier_spacing_hz,
+        element_spacing_m=array.element_spacing_m,
+        position_m=array.position_m,
+        axis=array.axis,
+        broadside=array.broadside,
+    )
+    assert resolve_array(own, Recording, RecordingSettings(path=capture)).name == "roof"
+
+
+def test_every_difference_is_told(capture: Path) -> None:
+    own = ArraySettings(antennas=8, subcarriers=5)
+    with pytest.raises(SetupError, match=r"antennas: 8 against 4; subcarriers: 5 against 3"):
+        resolve_array(own, Recording, RecordingSettings(path=capture))
+
+
+def test_no_array_at_all() -> None:
+    with pytest.raises(SetupError, match=r"\[array\] is missing: source \"simulator\""):
+        resolve_array(None, Simulator, SimulatorSettings())
+
+
+def test_axes_that_do_not_fit() -> None:
+    own = ArraySettings(axis="y", broadside="y")
+    with pytest.raises(SetupError, match="orthogonal"):
+        resolve_array(own, Simulator, SimulatorSettings())
+
+
+def test_all_mistakes_are_found_at_once(tmp_path: Path) -> None:
+    config = tmp_path / "bad.toml"
+    config.write_text(
+        '[source]\ntype = "recording"\npath = "nowhere.mcap"\n'
+        '[[sinks]]\ntype = "publisher"\nendpoint = "tcp://192.0.2.1:5556"\n'
+    )
+    mistakes = check(load(config))
+    assert len(mistakes) == 2
+    assert "nowhere.mcap" in mistakes[0]
+    assert "192.0.2.1" in mistakes[1]
+
+
+def test_workers_share_the_ues(tmp_path: Path) -> None:
+    config = tmp_path / "many.toml"
+    config.write_text(
+        '[array]\n[source]\ntype = "simulator"\n[workers]\ncount = 4\n'
+        "[estimator]\nmax_ues = 10000\nlr_train_ues = 10\n"
+    )
+    plan = Plan.of(load(config))
+    share = plan.worker_estimator()
+    assert 2500 < share["max_ues"] < 3000
+    assert share["lr_train_ues"] == 3
+    assert plan.block_frames == 64
+
+
+def test_a_block_never_has_more_ues_than_a_worker_may_hold(tmp_path: Path) -> None:
+    config = tmp_path / "few.toml"
+    config.write_text('[array]\n[source]\ntype = "simulator"\n[estimator]\nmax_ues = 5\n')
+    assert Plan.of(load(config)).block_frames == 5
+
+
+def test_estimators_that_cannot_be_made() -> None:
+    [problem] = estimator_problems(small_array(), EstimatorSettings(theta="music", signal_order=9))
+    assert "signal_order" in problem
