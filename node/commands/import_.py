@@ -13,66 +13,45 @@ from __future__ import annotations
 import argparse
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from chachart.config.describe import allowed
-from chachart.config.settings import ArraySettings
 from chachart.node.commands.cli import progress
-from chachart.node.csi import CsiBlock
+from chachart.node.commands.importing import read_table
 from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
 from chachart.node.recording import RecordingWriter
 from chachart.sources.formats import open_capture
-from chachart.sources.formats.arrange import (
-    AXES,
-    column,
-    defects,
-    frames,
-    identities,
-    occurrence,
-    positions,
-    times_ns,
-)
-from chachart.sources.formats.base import Capture
-
-BLOCK_FRAMES = 64
-
-_ARRAY_OPTIONS = {
-    "name": "--array-name",
-    "carrier_hz": "--carrier-hz",
-    "subcarrier_spacing_hz": "--subcarrier-spacing-hz",
-    "position_m": "--array-position",
-    "axis": "--array-axis",
-    "broadside": "--array-broadside",
-    "element_spacing_m": "--element-spacing-m",
-    "height_m": "--height-m",
-    "light_speed_m_s": "--light-speed-m-s",
-    "antennas": "--axes (antenna)",
-    "subcarriers": "--axes (subcarrier)",
-}
-
-Converted = TypeVar("Converted")
+from chachart.sources.formats.arrange import AXES
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line of `chachart import`."""
-    parser.add_argument("capture", type=Path, metavar="IN", help="the capture: .npz or MATLAB v5 .mat")
+    parser.add_argument("capture", type=Path, metavar="IN", help="the capture")
     parser.add_argument("recording", type=Path, metavar="OUT.mcap", help="the recording to write")
     parser.add_argument("--force", action="store_true", help="replace OUT.mcap if it exists")
     data = parser.add_argument_group("what the file holds")
     data.add_argument("--csi", required=True, metavar="NAME", help="the variable with the CSI")
     data.add_argument(
         "--axes",
-        default="ue,antenna,subcarrier",
-        help=f"its axes in their order, of {', '.join(AXES)}; a missing one means one (%(default)s)",
+        help=f"its axes in order, of {', '.join(AXES)}; a missing one means one (ue,antenna,subcarrier)",
+    )
+    data.add_argument("--shape", type=_shape, metavar="N,N,...", help="its shape, where the file has it flat")
+    data.add_argument(
+        "--frames",
+        type=_slice,
+        default=slice(None),
+        metavar="FROM:TO:STEP",
+        help="which frames of it, from 0 on",
+    )
+    data.add_argument(
+        "--subcarriers",
+        type=_slice,
+        default=slice(None),
+        metavar="FROM:TO:STEP",
+        help="which subcarriers of it",
     )
     data.add_argument("--position", metavar="NAME", help="known positions in metres, (ues, 3), NaN unknown")
     data.add_argument("--ue", metavar="NAME", help="who sent each frame; else frame n is of UE n")
@@ -114,9 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.time and arguments.repeat > 1:
         raise SetupError("--time and --repeat exclude each other: repeated frames have no time of their own")
     capture = open_capture(arguments.capture)
-    csi = _converted(capture, "--csi", arguments.csi, lambda v: frames(v, arguments.axes.split(",")))
-    array = _geometry(arguments, csi.shape)
-    table = _table(arguments, capture, csi, array)
+    array, table = read_table(arguments, capture)
     note = {
         "imported_from": arguments.capture.name,
         "format": capture.format,
@@ -142,113 +119,6 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-@dataclass(frozen=True, slots=True)
-class _Table:
-    """The frames of a capture: csi (K, N_R, N_S), who, when (None: by rate) and where (None: unknown)."""
-
-    csi: NDArray[np.complex64]
-    ue: NDArray[np.uint64]
-    time_ns: NDArray[np.int64] | None
-    position: NDArray[np.float32] | None
-    noise_std: float
-    remark: str
-
-    def blocks(self, array: str, repeat: int, rate_hz: float, seed: int) -> Iterator[CsiBlock]:
-        """All frames once, then all again, `repeat` times, with fresh noise each time."""
-        rng = np.random.default_rng(seed)
-        total = len(self.ue) * repeat
-        for start in range(0, total, BLOCK_FRAMES):
-            n = np.arange(start, min(start + BLOCK_FRAMES, total))
-            row = n % len(self.ue)
-            csi = self.csi[row]
-            if self.noise_std:
-                noise = rng.standard_normal((*csi.shape, 2), np.float32) * np.float32(self.noise_std)
-                csi = csi + noise.view(np.complex64)[..., 0]
-            times = (n / rate_hz * 1e9).astype(np.int64) if self.time_ns is None else self.time_ns[row]
-            position = None if self.position is None else self.position[row]
-            yield CsiBlock(array, start, self.ue[row], times, csi, position)
-
-
-def _table(
-    arguments: argparse.Namespace, capture: Capture, csi: NDArray[np.complex64], array: ArrayGeometry
-) -> _Table:
-    count = len(csi)
-    ue = np.arange(count, dtype=np.uint64)
-    if arguments.ue:
-        ue = _converted(capture, "--ue", arguments.ue, lambda v: identities(column(v, count)))
-    time_ns = position = None
-    if arguments.time:
-        time_ns = _converted(capture, "--time", arguments.time, lambda v: times_ns(column(v, count)))
-    if arguments.position:
-        plane = array.position_m[2] - (array.height_m or array.position_m[2])
-        position = _converted(capture, "--position", arguments.position, lambda v: positions(v, count, plane))
-    found = defects(csi)
-    bad = np.flatnonzero(found != "")
-    if len(bad) and not arguments.skip_bad:
-        others = f", as are {len(bad) - 1} others" if len(bad) > 1 else ""
-        raise SetupError(
-            f'{capture.path}: frame {bad[0]} of "{arguments.csi}" {found[bad[0]]}{others} '
-            f"(--skip-bad leaves such frames out); the file has {capture.listing()}"
-        )
-    if len(bad) == count:
-        raise SetupError(f'{capture.path}: every frame of "{arguments.csi}" is zero, constant or not finite')
-    # By time where it is known, else every UE's first frame, every UE's second, ...
-    order = np.argsort(occurrence(ue) if time_ns is None else time_ns, kind="stable")
-    good = order[found[order] == ""]
-    csi = csi[good]
-    noise_std = 0.0
-    if arguments.snr_db is not None:
-        power = float(np.mean(np.square(np.abs(csi), dtype=np.float64)))
-        csi = csi / np.float32(math.sqrt(power))
-        noise_std = math.sqrt(0.5 * 10 ** (-arguments.snr_db / 10))
-    return _Table(
-        csi,
-        ue[good],
-        None if time_ns is None else time_ns[good],
-        None if position is None else position[good],
-        noise_std,
-        f", {len(bad)} bad frames left out" if len(bad) else "",
-    )
-
-
-def _geometry(arguments: argparse.Namespace, shape: tuple[int, ...]) -> ArrayGeometry:
-    values = {
-        "name": arguments.array_name,
-        "antennas": shape[1],
-        "subcarriers": shape[2],
-        "carrier_hz": arguments.carrier_hz,
-        "subcarrier_spacing_hz": arguments.subcarrier_spacing_hz,
-        "position_m": arguments.array_position,
-        "axis": arguments.array_axis,
-        "broadside": arguments.array_broadside,
-        "element_spacing_m": arguments.element_spacing_m,
-        "height_m": arguments.height_m,
-        "light_speed_m_s": arguments.light_speed_m_s,
-    }
-    if shape[2] > 1 and arguments.subcarrier_spacing_hz is None:
-        raise SetupError(f"--subcarrier-spacing-hz is needed: the file has {shape[2]} subcarriers")
-    given = {name: value for name, value in values.items() if value is not None}
-    try:
-        return ArraySettings(**given).geometry()
-    except ValidationError as error:
-        lines = []
-        for name in dict.fromkeys(str(detail["loc"][0]) for detail in error.errors()):
-            rule = allowed(ArraySettings.model_fields[name])
-            lines.append(f"{_ARRAY_OPTIONS[name]} {values[name]}: must be {rule}")
-        raise SetupError("\n".join(lines)) from None
-    except ValueError as error:
-        raise SetupError(f"--array-axis, --array-broadside: {error}") from None
-
-
-def _converted(
-    capture: Capture, option: str, name: str, convert: Callable[[NDArray[Any]], Converted]
-) -> Converted:
-    try:
-        return convert(capture.read(name))
-    except ValueError as error:
-        raise SetupError(f"{option} {name}: {error}; {capture.path} has {capture.listing()}") from None
-
-
 @contextmanager
 def _written_whole(path: Path) -> Iterator[Path]:
     """A name to write to beside `path`; it takes that name when all went well, and goes away otherwise."""
@@ -272,6 +142,21 @@ def _vector(text: str) -> tuple[float, ...]:
 
 def _direction(text: str) -> str | tuple[float, ...]:
     return _vector(text) if "," in text else text
+
+
+def _shape(text: str) -> tuple[int, ...]:
+    return tuple(_count(part) for part in text.split(","))
+
+
+def _slice(text: str) -> slice:
+    parts = text.split(":")
+    if (
+        not 1 < len(parts) < 4
+        or not all(part.isdecimal() or not part for part in parts)
+        or parts[2:] == ["0"]
+    ):
+        raise argparse.ArgumentTypeError(f"{text} must look like 0:1000 or 0:1000:10")
+    return slice(*(int(part) if part else None for part in parts))
 
 
 def _count(text: str) -> int:

@@ -34,11 +34,14 @@ class Capture(ABC):
     ----------
     path, format
         The file, and what its format is called.
+    axes
+        What the axes of its CSI are where nobody says otherwise.
     variables
         What it holds, by name.
     """
 
     format: str
+    axes: tuple[str, ...] = ("ue", "antenna", "subcarrier")
 
     def __init__(self, path: Path, variables: Mapping[str, Variable]) -> None:
         self.path = path

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import zipfile
 import zlib
 from pathlib import Path
@@ -13,13 +12,10 @@ from numpy.typing import NDArray
 
 from chachart.node.errors import SetupError
 from chachart.sources.formats.base import Capture, Variable
+from chachart.sources.formats.npy import read_header
 
 NAME = "NumPy .npz"
 
-_READERS = {
-    (1, 0): np.lib.format.read_array_header_1_0,
-    (2, 0): np.lib.format.read_array_header_2_0,
-}
 _DAMAGE = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, NotImplementedError)
 
 
@@ -64,11 +60,8 @@ class NpzCapture(Capture):
 
 
 def _describe(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> Variable:
-    """Shape and type from a member's header, held against the member's size before anybody allocates it."""
     with archive.open(member) as stream:
-        version = np.lib.format.read_magic(cast(BinaryIO, stream))
-        shape, _, dtype = _READERS[min(version, (2, 0))](cast(BinaryIO, stream))
-        held = member.file_size - stream.tell()
-    if not dtype.hasobject and math.prod(shape) * dtype.itemsize != held:
-        raise ValueError(f"{member.filename} says {dtype} {shape} but holds {held} bytes")
-    return Variable(tuple(shape), str(dtype))
+        try:
+            return read_header(cast(BinaryIO, stream), member.file_size)
+        except ValueError as error:
+            raise ValueError(f"{member.filename}: {error}") from None

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from capture_files import dichasus
 
 from chachart.node.commands.main import main
 from chachart.node.csi import CsiBlock
@@ -155,3 +156,42 @@ def test_several_subcarriers_need_their_spacing(tmp_path: Path, capsys: pytest.C
 def test_a_folder_that_does_not_exist(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["import", "in.npz", str(tmp_path / "no" / "out.mcap"), *BASE]) == 78
     assert "there is no such folder" in capsys.readouterr().err
+
+
+def test_some_frames_and_subcarriers_of_a_flat_array(tmp_path: Path) -> None:
+    np.save(tmp_path / "in.npy", CSI.ravel())
+    arguments = ["import", str(tmp_path / "in.npy"), str(tmp_path / "out.mcap"), "--csi", "array"]
+    arguments += ["--shape", "100,4,8", "--frames", "10:50:4", "--subcarriers", "1::3"]
+    assert main([*arguments, "--carrier-hz", "2e9", "--subcarrier-spacing-hz", "15e3"]) == 0
+    block = read(tmp_path)
+    np.testing.assert_array_equal(block.csi, CSI[10:50:4, :, 1::3].astype(np.complex64))
+    np.testing.assert_array_equal(block.ue, np.arange(10, 50, 4))
+    array = RecordingReader(tmp_path / "out.mcap").array
+    assert (array.carrier_hz, array.subcarrier_spacing_hz, array.subcarriers) == (2e9 + 15e3, 45e3, 3)
+
+
+def test_frames_are_numbered_as_in_the_file(run: Run) -> None:
+    status, said = run("--frames", "90:100:3", H=bad_frame(0, 96))
+    assert (status, 'frame 96 of "H" is all zero' in said) == (78, True)
+    status, said = run("--frames", "200:", H=CSI)
+    assert (status, "nothing is left of shape (100, 4, 8)" in said) == (78, True)
+
+
+@pytest.mark.parametrize(
+    "option",
+    ["--frames=5", "--frames=a:b", "--frames=0:9:0", "--subcarriers=-3:", "--shape=0,4", "--repeat=0"],
+)
+def test_options_that_are_no_ranges(run: Run, option: str) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        run(option)
+
+
+def test_a_dichasus_file_from_end_to_end(tmp_path: Path) -> None:
+    (tmp_path / "in.dat").write_bytes(dichasus(CSI.astype(np.complex64), POSITION))
+    arguments = ["import", str(tmp_path / "in.dat"), str(tmp_path / "out.mcap"), "--csi", "csi"]
+    arguments += ["--position", "pos-tachy", "--time", "time", "--axes", "ue,antenna,subcarrier,iq"]
+    assert main([*arguments, "--carrier-hz", "1.272e9", "--subcarrier-spacing-hz", "48828.125"]) == 0
+    block = read(tmp_path)
+    np.testing.assert_array_equal(block.csi, CSI.astype(np.complex64))
+    np.testing.assert_array_equal(block.position, POSITION.astype(np.float32))
+    np.testing.assert_array_equal(block.time_ns, np.arange(100) * 500_000_000)
