@@ -15,6 +15,8 @@ from typing import Any
 
 BENCHMARKS = {
     "kernels": "each estimator, and each pair of estimators, beside a textbook implementation",
+    "pipeline": "a whole node: frames a second, latency, processor time, memory",
+    "quality": "trustworthiness and continuity, exact and sampled, beside scikit-learn",
     "scale": "more UEs, antennas and subcarriers: time a frame and memory",
 }
 """Each benchmark and what it measures; its module in `benchmarks` has `add_arguments` and `run`."""

@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from chachart.node.commands.benchmarks.timing import Timing, plain
+from chachart.node.commands.benchmarks.timing import Timing, number, plain
 
 Cell = str | int | float | Timing | None
 
@@ -52,5 +52,5 @@ def _text(cell: Cell) -> str:
     if cell is None:
         return "-"
     if isinstance(cell, float):
-        return f"{cell:.3g}" if abs(cell) < 1000 else f"{cell:,.0f}"
+        return number(cell)
     return f"{cell:,}" if isinstance(cell, int) else str(cell)

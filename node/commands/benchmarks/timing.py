@@ -27,20 +27,12 @@ class Timing:
         return Timing(self.median * factor, self.least * factor, self.most * factor)
 
     def __str__(self) -> str:
-        return f"{self.median:.3g} ({self.least:.3g}..{self.most:.3g})"
+        return f"{number(self.median)} ({number(self.least)}..{number(self.most)})"
 
 
-def time_calls(call: Callable[[], Any], *, runs: int = 5, at_least_s: float = 0.1) -> Timing:
-    """Time `call`: each of `runs` runs repeats it for `at_least_s`, after one call to warm up."""
-    call()
-    seconds = []
-    for _ in range(runs):
-        calls, start = 0, time.perf_counter()
-        while (elapsed := time.perf_counter() - start) < at_least_s or calls == 0:
-            call()
-            calls += 1
-        seconds.append(elapsed / calls)
-    return Timing.of(seconds)
+def number(value: float) -> str:
+    """Three digits, and no exponent for large values."""
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
 
 
 def time_in_turn(calls: dict[str, Callable[[], Any]], *, runs: int = 5) -> dict[str, Timing]:
