@@ -1,4 +1,4 @@
-"""What every command shares: how mistakes are told, and progress on a terminal."""
+"""What every command shares: how mistakes are told, progress on a terminal, files that appear whole."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from chachart.node.errors import EX_CONFIG, SetupError
 
@@ -48,3 +49,36 @@ def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=total)
         yield lambda steps: bar.advance(task, steps)
+
+
+def check_writable(path: Path, force: bool) -> None:
+    """Tell early that a file cannot be written.
+
+    Raises
+    ------
+    SetupError
+        If its folder is not there, or it exists and must not be replaced.
+    """
+    if not path.parent.is_dir():
+        raise SetupError(f"{path} cannot be written: there is no such folder")
+    if path.exists() and not force:
+        raise SetupError(f"{path} exists already; --force replaces it")
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """A name to write to beside `path`; it takes that name when all went well, and goes away otherwise.
+
+    Raises
+    ------
+    SetupError
+        If the disk says no.
+    """
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        yield part
+        part.replace(path)
+    except OSError as error:
+        raise SetupError(f"{path} cannot be written: {error.strerror}") from None
+    finally:
+        part.unlink(missing_ok=True)

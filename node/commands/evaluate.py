@@ -20,7 +20,7 @@ import numpy as np
 from chachart.config.load import NodeSettings, settings_of
 from chachart.config.settings import EstimatorSettings, RhoMethod, ThetaMethod
 from chachart.node.chart import ChartUpdate
-from chachart.node.commands.cli import progress
+from chachart.node.commands.cli import check_writable, progress
 from chachart.node.csi import CsiBlock
 from chachart.node.errors import SetupError
 from chachart.node.estimation.estimator import ChartEstimator
@@ -59,8 +59,8 @@ def run(arguments: argparse.Namespace) -> int:
         If the recording or a setting does not fit.
     """
     for path in (arguments.chart, arguments.json):
-        if path is not None and not path.parent.is_dir():
-            raise SetupError(f"{path} cannot be written: there is no such folder")
+        if path is not None:
+            check_writable(path, force=True)
     settings = _settings(arguments)
     reader = RecordingReader(arguments.recording)
     try:

@@ -12,14 +12,11 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
-from chachart.node.commands.cli import progress
+from chachart.node.commands.cli import check_writable, progress, written_whole
 from chachart.node.commands.importing import read_table
 from chachart.node.errors import SetupError
 from chachart.node.recording import RecordingWriter
@@ -82,10 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
     SetupError
         If the capture, a variable or an option does not fit.
     """
-    if not arguments.recording.parent.is_dir():
-        raise SetupError(f"{arguments.recording} cannot be written: there is no such folder")
-    if arguments.recording.exists() and not arguments.force:
-        raise SetupError(f"{arguments.recording} exists already; --force replaces it")
+    check_writable(arguments.recording, arguments.force)
     if not (math.isfinite(arguments.rate) and arguments.rate > 0):
         raise SetupError(f"--rate {arguments.rate:g}: must be a number > 0")
     if arguments.snr_db is not None and not math.isfinite(arguments.snr_db):
@@ -103,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
     }
     total = len(table.ue) * arguments.repeat
     with (
-        _written_whole(arguments.recording) as part,
+        written_whole(arguments.recording) as part,
         RecordingWriter(part, array, note=note) as writer,
         progress("importing", total) as advance,
     ):
@@ -117,19 +111,6 @@ def run(arguments: argparse.Namespace) -> int:
         f"{array.subcarriers} subcarriers, {megabytes:.1f} MB, from {capture.format}{table.remark}"
     )
     return 0
-
-
-@contextmanager
-def _written_whole(path: Path) -> Iterator[Path]:
-    """A name to write to beside `path`; it takes that name when all went well, and goes away otherwise."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        yield part
-        part.replace(path)
-    except OSError as error:
-        raise SetupError(f"{path} cannot be written: {error.strerror}") from None
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _vector(text: str) -> tuple[float, ...]:

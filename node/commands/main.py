@@ -15,6 +15,7 @@ COMMANDS = {
     "config": "print a commented sample configuration",
     "ctl": "ask and steer a running node",
     "frontend": "be an array front-end on a serial line or a CAN bus, with faults on request",
+    "export": "turn a recording into a file for other tools",
     "import": "turn a capture of another tool into a recording",
     "info": "show what a recording holds",
     "evaluate": "chart a recording and say how good the chart is",
