@@ -59,7 +59,7 @@ class _Totals:
         """None where the values are not what a writer of ours puts there: the file is then counted anew."""
         try:
             numbers = {f.name: json.loads(values[f.name]) for f in fields(cls)}
-        except (KeyError, ValueError):
+        except (KeyError, ValueError, RecursionError):
             return None
         times = (numbers["start_ns"], numbers["end_ns"])
         counts = (numbers["frames"], numbers["ues"], numbers["span_ns"])
@@ -99,7 +99,7 @@ class RecordingSummary:
 
     `start_ns` and `end_ns` are the times of its earliest and latest frame, None in an empty recording;
     `closed_properly` is False where the writer was killed (or still writes); `damaged` counts chunks and
-    messages that were unreadable, by reason, as far as the file was read for this summary; `size` in bytes.
+    messages that were unreadable, by reason, where the file had to be read through; `size` in bytes.
     """
 
     array: ArrayGeometry
@@ -240,7 +240,14 @@ class RecordingWriter:
 class RecordingReader:
     """Reads a recording, closed properly or cut off anywhere.
 
-    No file stays open between calls. What is damaged is left out and counted in `damaged`, by reason.
+    No file stays open between calls. What is damaged is left out.
+
+    Attributes
+    ----------
+    array, note
+        The array and the note in the file.
+    damaged
+        Chunks and messages that `blocks` left out, by reason.
 
     Raises
     ------
@@ -251,6 +258,7 @@ class RecordingReader:
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         self.damaged = Counters()
+        self._damaged_in_all = Counters()
         self._index: FileIndex = read_index(self.path)
         self._totals = _Totals.parse(self._index.metadata.get(_TOTALS, {}))
         self.array, self.note = self._head()
@@ -265,7 +273,7 @@ class RecordingReader:
         try:
             array, note = json.loads(head["array"]), json.loads(head["note"])
             return ArrayGeometry.from_dict(array), dict(note)
-        except (KeyError, ValueError, TypeError) as error:
+        except (KeyError, ValueError, TypeError, RecursionError) as error:
             raise SetupError(f"{self.path} does not describe its array: {error}") from None
 
     @property
@@ -283,7 +291,10 @@ class RecordingReader:
     def summary(self) -> RecordingSummary:
         """What the recording holds; a file without totals is read through, once."""
         if self._totals is None:
-            self._totals = self._count()
+            account = _Account()
+            for block in self._read(None, None, self._damaged_in_all):
+                account.add(block)
+            self._totals = account.totals()
         return RecordingSummary(
             array=self.array,
             note=self.note,
@@ -292,15 +303,18 @@ class RecordingReader:
             start_ns=self._totals.start_ns,
             end_ns=self._totals.end_ns,
             closed_properly=self.closed_properly,
-            damaged=self.damaged.as_dict(),
+            damaged=self._damaged_in_all.as_dict(),
             size=self.path.stat().st_size,
         )
 
     def blocks(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[CsiBlock]:
         """The blocks in the order of the file, cut to frames of `start_ns <= time_ns < end_ns`.
 
-        The arrays of a block are read-only.
+        The arrays of a block are read-only. What is damaged is counted in `damaged`.
         """
+        return self._read(start_ns, end_ns, self.damaged)
+
+    def _read(self, start_ns: int | None, end_ns: int | None, damaged: Counters) -> Iterator[CsiBlock]:
         with self.path.open("rb") as file:
             for chunk in self._chunks(start_ns, end_ns):
                 try:
@@ -309,12 +323,12 @@ class RecordingReader:
                             continue
                         if end_ns is not None and message.log_ns >= max(end_ns, 1):
                             continue
-                        block = self._block(message.data)
+                        block = self._block(message.data, damaged)
                         block = None if block is None else _between(block, start_ns, end_ns)
                         if block is not None:
                             yield block
                 except DamagedChunk as error:
-                    self.damaged.add(error.reason)
+                    damaged.add(error.reason)
 
     def _chunks(self, start_ns: int | None, end_ns: int | None) -> Iterator[ChunkSpan]:
         """The chunks that can hold frames of this time; without totals, a message may last any time."""
@@ -325,22 +339,16 @@ class RecordingReader:
             if end_ns is None or chunk.start_ns < max(end_ns, 1):
                 yield chunk
 
-    def _block(self, data: memoryview) -> CsiBlock | None:
+    def _block(self, data: memoryview, damaged: Counters) -> CsiBlock | None:
         try:
             block = decode_csi_map(data)
         except WireError as error:
-            self.damaged.add(error.reason)
+            damaged.add(error.reason)
             return None
         if (block.antennas, block.subcarriers) != (self.array.antennas, self.array.subcarriers):
-            self.damaged.add("shape")
+            damaged.add("shape")
             return None
         return block
-
-    def _count(self) -> _Totals:
-        account = _Account()
-        for block in self.blocks():
-            account.add(block)
-        return account.totals()
 
 
 def _joined(blocks: list[CsiBlock]) -> Iterator[CsiBlock]:
