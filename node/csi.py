@@ -75,6 +75,16 @@ class CsiBlock:
         position = None if self.position is None else self.position[index]
         return CsiBlock(self.array, self.seq, self.ue[index], self.time_ns[index], self.csi[index], position)
 
+    def cut(self, start: int, stop: int) -> CsiBlock:
+        """Frames `start` to `stop` as views, numbered as they were."""
+        if start == 0 and stop >= len(self):
+            return self
+        rows = slice(start, stop)
+        position = None if self.position is None else self.position[rows]
+        return CsiBlock(
+            self.array, self.seq + start, self.ue[rows], self.time_ns[rows], self.csi[rows], position
+        )
+
     @staticmethod
     def concatenate(blocks: list[CsiBlock]) -> CsiBlock:
         """One block of all frames, in order; `array` and `seq` are the first block's."""

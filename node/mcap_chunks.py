@@ -18,8 +18,7 @@ from typing import BinaryIO, NamedTuple
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import ChunkIndex, Metadata, MetadataIndex
-from mcap.stream_reader import StreamReader
+from mcap.records import Metadata
 
 from chachart.node.errors import SetupError
 
@@ -32,7 +31,8 @@ _RECORD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQLL")
 _MESSAGE = struct.Struct("<HLQQ")
 _FOOTER = struct.Struct("<BQQQL")
-_UNREADABLE = (McapError, struct.error, UnicodeDecodeError)
+_CHUNK_INDEX = struct.Struct("<QQQQL")
+_METADATA_INDEX = struct.Struct("<QQ")
 
 
 class DamagedChunk(ValueError):
@@ -41,6 +41,9 @@ class DamagedChunk(ValueError):
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
         self.reason = reason
+
+
+_UNREADABLE = (McapError, DamagedChunk, struct.error, UnicodeDecodeError)
 
 
 class ChunkSpan(NamedTuple):
@@ -104,20 +107,25 @@ def read_messages(file: BinaryIO, chunk: ChunkSpan) -> Iterator[Message]:
     content = memoryview(file.read(chunk.length))
     if len(content) < chunk.length:
         raise DamagedChunk("chunk_cut")
-    records = _chunk_records(content)
-    position = 0
-    while position < len(records):
-        if len(records) - position < _RECORD.size:
-            raise DamagedChunk("chunk_layout")
-        opcode, length = _RECORD.unpack_from(records, position)
-        position += _RECORD.size
-        if length > len(records) - position:
-            raise DamagedChunk("chunk_layout")
+    for opcode, record in _records(_chunk_records(content)):
         if opcode == Opcode.MESSAGE:
-            if length < _MESSAGE.size:
+            if len(record) < _MESSAGE.size:
                 raise DamagedChunk("chunk_layout")
-            _, _, log_ns, publish_ns = _MESSAGE.unpack_from(records, position)
-            yield Message(log_ns, publish_ns, records[position + _MESSAGE.size : position + length])
+            _, _, log_ns, publish_ns = _MESSAGE.unpack_from(record)
+            yield Message(log_ns, publish_ns, record[_MESSAGE.size :])
+
+
+def _records(content: memoryview) -> Iterator[tuple[int, memoryview]]:
+    """Opcode and content of each record."""
+    position = 0
+    while position < len(content):
+        if len(content) - position < _RECORD.size:
+            raise DamagedChunk("chunk_layout")
+        opcode, length = _RECORD.unpack_from(content, position)
+        position += _RECORD.size
+        if length > len(content) - position:
+            raise DamagedChunk("chunk_layout")
+        yield opcode, content[position : position + length]
         position += length
 
 
@@ -151,21 +159,21 @@ def _from_summary(path: Path, file: BinaryIO, size: int) -> FileIndex | None:
         return None
     index = FileIndex(closed=True)
     try:
-        for record in StreamReader(io.BytesIO(summary), skip_magic=True).records:
-            if isinstance(record, ChunkIndex):
-                _check_compression(path, record.compression)
-                offset, length = record.chunk_start_offset + _RECORD.size, record.chunk_length - _RECORD.size
-                if not (0 <= length <= MAX_CHUNK_BYTES and offset + length <= size):
+        for opcode, record in _records(memoryview(summary)[:-tail]):
+            if opcode == Opcode.CHUNK_INDEX:
+                start_ns, end_ns, offset, length, channels = _CHUNK_INDEX.unpack_from(record)
+                text = io.BytesIO(record[_CHUNK_INDEX.size + channels + 8 :])
+                _check_compression(path, ReadDataStream(text).read_prefixed_string())
+                chunk = ChunkSpan(offset + _RECORD.size, length - _RECORD.size, start_ns, end_ns)
+                if not (0 <= chunk.length <= MAX_CHUNK_BYTES and chunk.offset + chunk.length <= size):
                     return None
-                index.chunks.append(
-                    ChunkSpan(offset, length, record.message_start_time, record.message_end_time)
-                )
-            elif isinstance(record, MetadataIndex):
-                offset, length = record.offset + _RECORD.size, record.length - _RECORD.size
-                if not (0 <= length <= MAX_METADATA_BYTES and offset + length <= size):
+                index.chunks.append(chunk)
+            elif opcode == Opcode.METADATA_INDEX:
+                offset, length = _METADATA_INDEX.unpack_from(record)
+                if not (_RECORD.size <= length <= MAX_METADATA_BYTES and offset + length <= size):
                     return None
-                file.seek(offset)
-                _add_metadata(index, file.read(length))
+                file.seek(offset + _RECORD.size)
+                _add_metadata(index, file.read(length - _RECORD.size))
     except _UNREADABLE:
         return None
     return index

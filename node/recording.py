@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import NoneType, TracebackType
+from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -30,6 +30,7 @@ from chachart.node.csi import CsiBlock
 from chachart.node.errors import SetupError
 from chachart.node.geometry import ArrayGeometry
 from chachart.node.mcap_chunks import ChunkSpan, DamagedChunk, FileIndex, read_index, read_messages
+from chachart.node.recording_totals import Account, Totals
 from chachart.node.wire import WireError, decode_csi_map, encode_csi_map
 
 FORMAT = "1"
@@ -42,55 +43,6 @@ _SCHEMA = b"""A msgpack map: v (1), type ("csi"), array (str), seq (int, number 
 shape ([frames, antennas, subcarriers]), dtype ("<c8"), ue (bin, <u8 a frame), time_ns (bin, <i8 a frame),
 position (bin, three <f4 a frame, metres; may be absent), csi (bin, the samples in the order of shape).
 """
-
-
-@dataclass(frozen=True, slots=True)
-class _Totals:
-    """The values of the record `chachart.totals`."""
-
-    frames: int
-    ues: int
-    start_ns: int | None
-    end_ns: int | None
-    span_ns: int
-
-    @classmethod
-    def parse(cls, values: Mapping[str, str]) -> Self | None:
-        """None where the values are not what a writer of ours puts there: the file is then counted anew."""
-        try:
-            numbers = {f.name: json.loads(values[f.name]) for f in fields(cls)}
-        except (KeyError, ValueError, RecursionError):
-            return None
-        times = (numbers["start_ns"], numbers["end_ns"])
-        counts = (numbers["frames"], numbers["ues"], numbers["span_ns"])
-        if any(type(n) is not int for n in counts) or any(type(t) not in (int, NoneType) for t in times):
-            return None
-        return cls(**numbers)
-
-
-@dataclass(slots=True)
-class _Account:
-    """Running account of the frames of a recording."""
-
-    frames: int = 0
-    start_ns: int | None = None
-    end_ns: int | None = None
-    span_ns: int = 0
-    ues: set[int] = field(default_factory=set)
-
-    def add(self, block: CsiBlock) -> tuple[int, int]:
-        """Count a block; its earliest and latest time."""
-        first, last = int(block.time_ns.min()), int(block.time_ns.max())
-        self.frames += len(block)
-        self.start_ns = first if self.start_ns is None else min(first, self.start_ns)
-        self.end_ns = last if self.end_ns is None else max(last, self.end_ns)
-        self.span_ns = max(self.span_ns, last - first)
-        self.ues.update(np.unique(block.ue).tolist())
-        return first, last
-
-    def totals(self) -> _Totals:
-        """The account so far."""
-        return _Totals(self.frames, len(self.ues), self.start_ns, self.end_ns, self.span_ns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +100,7 @@ class RecordingWriter:
     ) -> None:
         self.path = Path(path)
         self.array = array
-        self._account = _Account()
+        self._account = Account()
         self._chunk_bytes = chunk_bytes
         self._gathered: list[CsiBlock] = []
         self._gathered_bytes = 0
@@ -202,7 +154,7 @@ class RecordingWriter:
         for block in _joined(blocks):
             step = max(1, min(MESSAGE_FRAMES, MESSAGE_BYTES // block.csi[0].nbytes))
             for start in range(0, len(block), step):
-                piece = block if len(block) <= step else _frames(block, slice(start, start + step))
+                piece = block.cut(start, start + step)
                 first, last = self._account.add(piece)
                 # MCAP's times are unsigned; the frames keep their own.
                 self._writer.add_message(self._channel, max(first, 0), encode_csi_map(piece), max(last, 0))
@@ -260,7 +212,7 @@ class RecordingReader:
         self.damaged = Counters()
         self._damaged_in_all = Counters()
         self._index: FileIndex = read_index(self.path)
-        self._totals = _Totals.parse(self._index.metadata.get(_TOTALS, {}))
+        self._totals = Totals.parse(self._index.metadata.get(_TOTALS, {}))
         self.array, self.note = self._head()
 
     def _head(self) -> tuple[ArrayGeometry, dict[str, Any]]:
@@ -291,7 +243,7 @@ class RecordingReader:
     def summary(self) -> RecordingSummary:
         """What the recording holds; a file without totals is read through, once."""
         if self._totals is None:
-            account = _Account()
+            account = Account()
             for block in self._read(None, None, self._damaged_in_all):
                 account.add(block)
             self._totals = account.totals()
@@ -365,12 +317,6 @@ def _joined(blocks: list[CsiBlock]) -> Iterator[CsiBlock]:
         run.append(block)
     if run:
         yield CsiBlock.concatenate(run)
-
-
-def _frames(block: CsiBlock, rows: slice) -> CsiBlock:
-    position = None if block.position is None else block.position[rows]
-    seq = block.seq + rows.start
-    return CsiBlock(block.array, seq, block.ue[rows], block.time_ns[rows], block.csi[rows], position)
 
 
 def _between(block: CsiBlock, start_ns: int | None, end_ns: int | None) -> CsiBlock | None:

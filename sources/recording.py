@@ -102,8 +102,9 @@ class Recording(Source):
         ready = len(self._waiting) if self.settings.speed == 0 else self._due(self._waiting, timeout)
         if not ready:
             return None
-        block, rest = _split(self._waiting, ready)
-        self._waiting = rest or next(self._blocks, None)
+        block = self._waiting.cut(0, ready)
+        more = ready < len(self._waiting)
+        self._waiting = self._waiting.cut(ready, len(self._waiting)) if more else next(self._blocks, None)
         block = replace(block, array=self.array.name, seq=self._played)
         self._played += len(block)
         self._latest_ns = max(self._latest_ns, int(block.time_ns.max()))
@@ -171,10 +172,3 @@ def _empty(settings: RecordingSettings) -> str:
         return f"{settings.path} holds no frames"
     end = "its end" if settings.to_s is None else f"{settings.to_s:g} s"
     return f"{settings.path} holds no frames from {settings.from_s:g} s to {end}"
-
-
-def _split(block: CsiBlock, n: int) -> tuple[CsiBlock, CsiBlock | None]:
-    if n >= len(block):
-        return block, None
-    rows = np.arange(len(block))
-    return block.take(rows[:n]), block.take(rows[n:])

@@ -84,7 +84,7 @@ class Partitioner:
         while start < len(block):
             pending = self._pending[shard]
             stop = min(len(block), start + self._block_frames - pending.frames)
-            pending.blocks.append(_cut(block, start, stop))
+            pending.blocks.append(block.cut(start, stop))
             pending.arrivals.append((now, stop - start))
             pending.frames += stop - start
             start = stop
@@ -95,14 +95,3 @@ class Partitioner:
         pending = self._pending[shard]
         self._pending[shard] = _Pending()
         return Piece(shard, CsiBlock.concatenate(pending.blocks), tuple(pending.arrivals))
-
-
-def _cut(block: CsiBlock, start: int, stop: int) -> CsiBlock:
-    """Frames start..stop as views."""
-    if stop - start == len(block):
-        return block
-    rows = slice(start, stop)
-    position = None if block.position is None else block.position[rows]
-    return CsiBlock(
-        block.array, block.seq + start, block.ue[rows], block.time_ns[rows], block.csi[rows], position
-    )

@@ -63,3 +63,13 @@ def test_a_mask_takes_frames() -> None:
     taken = block.take(np.array([True, False, False, True]))
     assert_same_frames(taken, block.take(np.array([0, 3])))
     assert len(taken) == 2
+
+
+@given(st.integers(1, 6), st.integers(0, 5), st.integers(1, 7))
+def test_cut(frames: int, start: int, count: int) -> None:
+    block = some_block(frames, seq=100)
+    start = min(start, frames - 1)
+    cut = block.cut(start, start + count)
+    assert cut.seq == 100 + start
+    assert np.shares_memory(cut.csi, block.csi)
+    assert_same_frames(cut, block.take(np.arange(start, min(start + count, frames))))
