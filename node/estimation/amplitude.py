@@ -8,6 +8,8 @@ plain mean of |h|.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,8 +34,12 @@ class AmplitudeSum:
 
     def __init__(self, kind: str, antennas: int, decay: float) -> None:
         self.kind, self.antennas = kind, antennas
-        shape, dtype = ((antennas,), np.complex64) if kind == "coherent" else ((), np.float32)
-        self._bank = Bank(shape if kind != "debiased" else (0,), dtype, decay)
+        kept: dict[str, tuple[tuple[int, ...], type[np.generic]]] = {
+            "debiased": ((0,), np.float32),
+            "coherent": ((antennas,), np.complex64),
+            "noisy": ((), np.float32),
+        }
+        self._bank = Bank(*kept[kind], decay)
 
     def resize(self, capacity: int) -> None:
         """Have rows for `capacity` slots."""
@@ -43,28 +49,32 @@ class AmplitudeSum:
         """Start `slots` afresh."""
         self._bank.clear(slots)
 
-    def update(
-        self, group: Grouping, csi: NDArray[np.complex64], weight: Floats, power: Floats, floor: Floats
-    ) -> Floats:
-        """Take a block's frames.
+    def features(self, csi: NDArray[np.complex64]) -> NDArray[Any]:
+        """What is kept of each frame (K, N_R, N_S): nothing, h of the first subcarrier, or mean |h|."""
+        if self.kind == "debiased":
+            return np.zeros((len(csi), 0), np.float32)
+        if self.kind == "coherent":
+            return csi[:, :, 0].copy()
+        mean: NDArray[np.float32] = np.abs(csi).sum(axis=(1, 2)) / np.float32(csi.shape[2])
+        return mean
+
+    def estimate(self, group: Grouping, features: NDArray[Any], weight: Floats, power: Floats) -> Floats:
+        """Take a block's frames; s (U,) of its UEs.
 
         Parameters
         ----------
-        csi
-            (K, N_R, N_S).
+        features
+            Of each frame.
         weight
             (U,) sum of the weights of each UE's frames.
-        power, floor
-            (U,) signal power per element, and the least that could be told from none.
+        power
+            (U,) signal power per element without the noise.
         """
         if self.kind == "debiased":
-            return self.antennas * np.sqrt(np.maximum(power, floor))
-        if self.kind == "coherent":
-            mean = self._bank.add(group, csi[:, :, 0].copy()) / weight[:, None]
-            total: Floats = np.abs(mean).sum(axis=1, dtype=np.float64)
-            return total
-        magnitude = np.abs(csi).sum(axis=(1, 2), dtype=np.float32) / np.float32(csi.shape[2])
-        return self._bank.add(group, magnitude) / weight
+            return self.antennas * np.sqrt(power)
+        mean = np.abs(self._bank.add(group, features)).astype(np.float64)
+        total: Floats = mean.sum(axis=1) if self.kind == "coherent" else mean
+        return total / weight
 
 
 class Isq:

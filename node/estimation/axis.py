@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from chachart.node.estimation import order, spectra
 from chachart.node.estimation.bounds import stochastic_std
-from chachart.node.estimation.covariance import Bank, Grouping, LagSums, covariances, forward_backward
+from chachart.node.estimation.covariance import Bank, Grouping, LagSums, forward_backward
 from chachart.node.estimation.manifold import Search, UniformManifold, derivatives
 from chachart.node.estimation.options import Options
 from chachart.node.estimation.slots import Slots
+from chachart.node.estimation.subspace import SubspaceTracker, dominant
 
 Complex = NDArray[np.complexfloating[Any, Any]]
 Floats = NDArray[np.float64]
@@ -87,83 +88,97 @@ class SpectralAxis:
         shape = (n,) if method == "bartlett" else (n, n)
         self._bank = Bank(shape, np.complex64, options.decay)
         self._lags = LagSums(n)
+        self._parts: list[Bank | SubspaceTracker] = [self._bank]
+        if method in ("music", "minnorm") and isinstance(options.signal_order, int):
+            self._tracker = SubspaceTracker(n, options.signal_order)
+            self._parts.append(self._tracker)
 
     def resize(self, capacity: int) -> None:
         """Have state for `capacity` slots."""
-        self._bank.resize(capacity)
+        for part in self._parts:
+            part.resize(capacity)
 
     def clear(self, slots: Slots) -> None:
         """Start `slots` afresh."""
-        self._bank.clear(slots)
+        for part in self._parts:
+            part.clear(slots)
 
-    def update(self, group: Grouping, x: Complex, weight: Floats, frames: Floats) -> AxisEstimate:
-        """Take a block and estimate its UEs.
+    def features(self, x: Complex, conjugate: Complex) -> Complex:
+        """What is kept of each frame, from snapshot matrices x (K, N, M) and their conjugates.
+
+        Lag polynomials (K, N) for Bartlett, covariances (K, N, N) for the others.
+        """
+        if self.method == "bartlett":
+            return self._lags.of_products(x, conjugate)
+        product: Complex = np.matmul(x, conjugate.swapaxes(1, 2))
+        return product
+
+    def estimate(self, group: Grouping, features: Complex, weight: Floats, frames: Floats) -> AxisEstimate:
+        """Take a block's frames and estimate its UEs.
 
         Parameters
         ----------
-        x
-            Snapshot matrices (K, N, M).
+        features
+            Of each frame.
         weight, frames
             (U,) sum of the weights of each UE's frames, and their effective number.
         """
-        per_frame = self._lags.of_snapshots(x) if self.method == "bartlett" else covariances(x)
-        sums = self._bank.add(group, per_frame)
-        power_lags, c = self._polynomials(sums, frames)
-        u = self.search.extremum(c, maximum=self.method in spectra.MAXIMUM)
-        return self._judge(u, power_lags, weight, frames)
+        sums = self._bank.add(group, features)
+        n, snapshots = self.manifold.size, frames * self.snapshots
+        scale = weight * (self.snapshots * n)
+        if self.method == "bartlett":
+            u, value = self.search.extremum(sums, maximum=True)
+            return self._judge(u, sums[:, 0].real / scale, value / (scale * n), snapshots)
+        r = forward_backward(sums) if self.options.forward_backward else sums
+        factor = self._factor(r, group.slots, snapshots)
+        c = self._lags.of_products(factor, factor.conj())
+        u, _ = self.search.extremum(c, maximum=self.method in spectra.MAXIMUM)
+        steering = self.manifold.steering(u).astype(r.dtype)[:, :, None]
+        beam = np.einsum("kni,kni->k", steering.conj(), np.matmul(r, steering)).real
+        return self._judge(u, np.einsum("kii->k", r).real / scale, beam / (scale * n), snapshots)
 
     def spectrum(self, slot: int, frames: float, points: int) -> tuple[Floats, Floats]:
-        """Coordinate grid and spectrum (largest value 1) of one UE."""
-        sums = self._bank.rows[[slot]].astype(np.complex128)
-        _, c = self._polynomials(sums, np.array([frames]))
+        """Coordinate grid and spectrum (largest value 1) of one UE, in double precision."""
+        c: Complex = self._bank.rows[[slot]].astype(np.complex128)
+        if self.method != "bartlett":
+            r = forward_backward(c) if self.options.forward_backward else c
+            factor = self._factor(r, None, np.array([frames * self.snapshots]))
+            c = self._lags.of_products(factor, factor.conj())
         ends = self.manifold.coordinate(np.array([self.manifold.low, self.manifold.high]))
         grid = np.linspace(ends.min(), ends.max(), points)
-        power = derivatives(np.repeat(c, points, axis=0), self.manifold.u(grid))[0]
+        power = derivatives(np.repeat(c.T, points, axis=1), self.manifold.u(grid))[0]
         if self.method == "music":
             power = self.manifold.size - power
         if self.method != "bartlett":
             power = 1 / np.maximum(power, 1e-12 * power.max())
         return grid, power / power.max()
 
-    def _polynomials(self, sums: Complex, frames: Floats) -> tuple[Complex, Complex]:
-        """Lag polynomials of the received power and of the method's spectrum, both (U, N)."""
-        if self.method == "bartlett":
-            return sums, sums
-        r = forward_backward(sums) if self.options.forward_backward else sums
+    def _factor(self, r: Complex, slots: Slots | None, snapshots: Floats) -> Complex:
+        """The method's factor X of covariances r (U, N, N); without `slots` no subspace is tracked."""
         if self.method == "mvdr":
-            factor = spectra.mvdr(r, self.options.loading)
-        else:
-            signal = self._signal(r, frames)
-            factor = signal if self.method == "music" else spectra.minnorm(signal)
-        return self._lags.of(r), self._lags.of_snapshots(factor)
-
-    def _signal(self, r: Complex, frames: Floats) -> Complex:
-        values, vectors = np.linalg.eigh(r)
+            return spectra.mvdr(r, self.options.loading)
         wanted = self.options.signal_order
-        if wanted == "threshold":
-            orders = order.threshold(values, self.options.order_threshold)
-        elif wanted == "mdl":
-            orders = order.mdl(values, frames * self.snapshots)
+        if isinstance(wanted, int):
+            basis = dominant(r, wanted) if slots is None else self._tracker.update(slots, r, snapshots)
+            signal = basis.conj().swapaxes(1, 2)
         else:
-            orders = np.full(len(r), wanted, np.intp)
-        return order.eigenvectors(r, orders, (values, vectors))
+            values, vectors = np.linalg.eigh(r)
+            if wanted == "mdl":
+                orders = order.mdl(values, snapshots)
+            else:
+                orders = order.threshold(values, self.options.order_threshold)
+            signal = order.leading(vectors, orders)
+        return signal if self.method == "music" else spectra.minnorm(signal)
 
-    def _judge(self, u: Floats, power_lags: Complex, weight: Floats, frames: Floats) -> AxisEstimate:
+    def _judge(self, u: Floats, total: Floats, beam: Floats, snapshots: Floats) -> AxisEstimate:
         """Power of the path at u, of the rest, and the standard deviation that follows from them.
 
-        aᴴRa / N^2 = P + sigma^2 / N and tr R / N = P + sigma^2 for one path in white noise.
+        For a path in white noise `total` = tr R / N is P + sigma^2, `beam` = aᴴRa / N^2 is P + sigma^2 / N.
         """
         n = self.manifold.size
-        lags = power_lags.astype(np.complex128)
-        lags /= (weight * self.snapshots)[:, None]
-        total = lags[:, 0].real / n
-        beam = derivatives(lags, u)[0] / n**2
-        m = frames * self.snapshots
-        least = total / np.sqrt(n * m)
-        power = np.maximum((n * beam - total) / (n - 1), least)
+        power = np.maximum((n * beam - total) / (n - 1), total / np.sqrt(n * snapshots))
         noise = np.maximum(total - power, 1e-6 * total)
-        u_std = stochastic_std(n, m, power / noise)
+        u_std = stochastic_std(n, snapshots, power / noise)
         if self.method == "minnorm":
             u_std *= np.sqrt((n + 1) / 6)
-        manifold = self.manifold
-        return AxisEstimate(manifold.coordinate(u), manifold.coordinate_std(u, u_std), power, noise)
+        return AxisEstimate(self.manifold.coordinate(u), self.manifold.coordinate_std(u, u_std), power, noise)

@@ -154,56 +154,39 @@ class LagSums:
 
     def __init__(self, size: int) -> None:
         self.size = size
-        self._scratch: dict[np.dtype[Any], Complex] = {}
+        self._scratch: dict[np.dtype[Any], tuple[Complex, NDArray[Any]]] = {}
 
-    def room(self, count: int, dtype: np.dtype[Any]) -> Complex:
-        """Memory (count, N, N) to write matrices into before `sums(count)`; the next call reuses it."""
-        scratch = self._scratch.get(dtype)
-        if scratch is None or len(scratch) < count:
-            scratch = self._scratch[dtype] = np.zeros((count, self.size, 2 * self.size), dtype)
-        room: Complex = scratch[:count, :, : self.size]
-        return room
-
-    def sums(self, count: int, dtype: np.dtype[Any]) -> Complex:
-        """Lag polynomials (count, N) of the matrices in `room`."""
+    def of_products(self, x: Complex, conjugate: Complex) -> Complex:
+        """Lag polynomials (K, N) of X Xᴴ for factors x (K, N, M) and their conjugates."""
         n = self.size
-        reals = self._scratch[dtype][:count].view(dtype.type(0).real.dtype)
-        step = reals.strides[-1]
-        diagonals = np.lib.stride_tricks.as_strided(
-            reals, (count, n, 2 * n), (reals.strides[0], (4 * n + 2) * step, step)
-        )
-        c: Complex = np.einsum("kij->kj", diagonals).view(dtype)
+        if n > MATMUL_LIMIT:
+            transform = fft.fft(x, fft.next_fast_len(2 * n), axis=1)
+            power = np.einsum("kfm,kfm->kf", transform.real, transform.real)
+            power += np.einsum("kfm,kfm->kf", transform.imag, transform.imag)
+            c: Complex = fft.rfft(power, axis=1, norm="forward")[:, :n]
+        else:
+            c = np.empty((len(x), n), x.dtype)
+            room, diagonals = self._memory(len(x), x.dtype)
+            for i in range(0, len(x), len(room)):
+                part = slice(i, i + len(room))
+                count = len(c[part])
+                np.matmul(x[part], conjugate[part].swapaxes(1, 2), out=room[:count])
+                c[part] = np.einsum("kij->kj", diagonals[:count]).view(x.dtype)
         c[:, 1:] *= 2
         return c
 
-    def of(self, q: Complex) -> Complex:
-        """Lag polynomials (K, N) of Hermitian matrices (K, N, N)."""
-        self.room(len(q), q.dtype)[...] = q
-        return self.sums(len(q), q.dtype)
-
-    def of_snapshots(self, x: Complex) -> Complex:
-        """Lag polynomials (K, N) of X Xᴴ for snapshot matrices x (K, N, M)."""
+    def _memory(self, count: int, dtype: np.dtype[Any]) -> tuple[Complex, NDArray[Any]]:
+        """Room for `count` matrices, or as many as stay in cache, and its view with diagonals as columns."""
         n = self.size
-        if n > MATMUL_LIMIT:
-            power = fft.fft(x, fft.next_fast_len(2 * n), axis=1)
-            spectrum = np.einsum("kfm,kfm->kf", power.real, power.real)
-            spectrum += np.einsum("kfm,kfm->kf", power.imag, power.imag)
-            c: Complex = fft.rfft(spectrum, axis=1, norm="forward")[:, :n]
-            c[:, 1:] *= 2
-            return c
-        out = np.empty((len(x), n), x.dtype)
-        chunk = max(_SCRATCH_BYTES // (2 * n * n * x.itemsize), 1)
-        for i in range(0, len(x), chunk):
-            part = x[i : i + chunk]
-            np.matmul(part, part.conj().swapaxes(1, 2), out=self.room(len(part), x.dtype))
-            out[i : i + chunk] = self.sums(len(part), x.dtype)
-        return out
-
-
-def covariances(x: Complex) -> Complex:
-    """X Xᴴ (K, N, N) of snapshot matrices x (K, N, M): uncentred, for a mean is signal here too."""
-    product: Complex = np.matmul(x, x.conj().swapaxes(1, 2))
-    return product
+        count = min(count, max(_SCRATCH_BYTES // (2 * n * n * dtype.itemsize), 1))
+        if dtype not in self._scratch or len(self._scratch[dtype][0]) < count:
+            memory = np.zeros((count, n, 2 * n), dtype)
+            reals = memory.view(memory.real.dtype)
+            step = reals.strides[-1]
+            strides = (reals.strides[0], (4 * n + 2) * step, step)
+            diagonals = np.lib.stride_tricks.as_strided(reals, (count, n, 2 * n), strides)
+            self._scratch[dtype] = memory[:, :, :n], diagonals
+        return self._scratch[dtype]
 
 
 def forward_backward(r: Complex) -> Complex:

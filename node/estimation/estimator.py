@@ -18,6 +18,8 @@ from chachart.node.estimation.slots import SlotTable
 from chachart.node.geometry import ArrayGeometry
 
 SPECTRUM_POINTS = 512
+LEAST_ENERGY, MOST_ENERGY = 1e-28, 1e28
+"""Sum of |h|^2 of a frame that single precision can work with: covariances are multiplied with each other."""
 
 
 class ChartEstimator:
@@ -34,7 +36,8 @@ class ChartEstimator:
     ----------
     rejected
         Frames that were not used, and rows that could not be published, by reason: `shape` (not antennas x
-        subcarriers), `zero`, `not_finite`, `untrained` (rho = "lr" before two UEs with a position were seen).
+        subcarriers), `zero` (all of it), `not_finite`, `out_of_range` (too large or too small for single
+        precision), `untrained` (rho = "lr" before two UEs with a position were seen).
 
     Raises
     ------
@@ -101,16 +104,23 @@ class ChartEstimator:
         ValueError
             If the block has more UEs than `max_ues`.
         """
-        usable = self._usable(block)
-        if usable is None:
+        if block.csi.shape[1:] != (self.array.antennas, self.array.subcarriers):
+            self.rejected.add("shape", len(block))
             return self._nothing()
-        block = usable
+        with np.errstate(all="ignore"):
+            features = self._locator.features(block.csi)
+            energy = self._locator.energy(features)
+        good = (energy > LEAST_ENERGY) & (energy < MOST_ENERGY)
+        if not good.all():
+            self._count_rejected(energy[~good])
+            if not good.any():
+                return self._nothing()
+            block, features = block.take(good), [f[good] for f in features]
         assigned = self._table.assign(block.ue, block.time_ns)
         self._make_rows(assigned.new)
         group = Grouping(assigned.slots)
         position = self._remember(block, group)
-        known_rho = self.array.theta_rho(position)[1]
-        located = self._locator.update(group, block.csi, known_rho)
+        located = self._locator.estimate(group, features, position)
         return self._published(block, group, located, position)
 
     def forget(self, now_ns: int) -> NDArray[np.uint64]:
@@ -142,23 +152,14 @@ class ChartEstimator:
         locator.resize(self._table.capacity)
         return locator
 
-    def _usable(self, block: CsiBlock) -> CsiBlock | None:
-        """The block without frames that cannot be used, each counted by reason; None if none is left."""
-        if block.csi.shape[1:] != (self.array.antennas, self.array.subcarriers):
-            self.rejected.add("shape", len(block))
-            return None
-        reals = np.ascontiguousarray(block.csi).view(np.float32).reshape(len(block), -1)
-        with np.errstate(all="ignore"):
-            energy = np.einsum("ij,ij->i", reals, reals)
-        good = np.isfinite(energy) & (energy > 0)
-        if good.all():
-            return block
-        zero = int((energy == 0).sum())
-        bad = len(block) - int(good.sum()) - zero
-        for reason, count in (("zero", zero), ("not_finite", bad)):
-            if count:
-                self.rejected.add(reason, count)
-        return block.take(good) if good.any() else None
+    def _count_rejected(self, energy: NDArray[Any]) -> None:
+        for reason, which in (
+            ("zero", energy == 0),
+            ("not_finite", ~np.isfinite(energy)),
+            ("out_of_range", np.isfinite(energy) & (energy != 0)),
+        ):
+            if which.any():
+                self.rejected.add(reason, int(which.sum()))
 
     def _make_rows(self, new: NDArray[np.intp]) -> None:
         self._locator.resize(self._table.capacity)
@@ -172,8 +173,8 @@ class ChartEstimator:
         """Last known position (U, 3) of the block's UEs."""
         rows = self._position.rows
         if block.position is not None:
-            known = ~np.isnan(block.position[group.order].sum(axis=1))
-            index = np.where(known, np.arange(len(known)), -1)
+            known = ~np.isnan(block.position.sum(axis=1))
+            index = np.where(known[group.order], np.arange(len(known)), -1)
             latest = np.maximum.reduceat(index, group.starts)
             has = latest >= 0
             rows[group.slots[has]] = block.position[group.order[latest[has]]]
@@ -183,8 +184,10 @@ class ChartEstimator:
         self, block: CsiBlock, group: Grouping, at: Located, position: NDArray[np.float32]
     ) -> ChartUpdate:
         x, y = self.array.chart_xy(at.theta, at.rho)
-        columns = (at.theta, at.rho, at.theta_std, at.rho_std)
-        self._latest.rows[group.slots] = np.stack(columns, axis=1)
+        latest = np.empty((len(group), 4))
+        for i, column in enumerate((at.theta, at.rho, at.theta_std, at.rho_std)):
+            latest[:, i] = column
+        self._latest.rows[group.slots] = latest
         update = ChartUpdate(
             array=block.array,
             method=self.method,

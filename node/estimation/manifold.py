@@ -23,6 +23,9 @@ GRID_PER_ELEMENT = 4
 """Grid points per resolution cell 2 pi / N where no step is set: the peak lies within 1/8 of a cell of one of
 them, where the main lobe has lost 5 %, well inside the region that Newton steps converge from."""
 
+CONVERGED = 1e-4
+"""In resolution cells: after a step as small, Newton's error is of the order of its square."""
+
 
 @dataclass(frozen=True, slots=True)
 class UniformManifold:
@@ -143,6 +146,7 @@ class Search:
             self.grid = np.linspace(manifold.low, manifold.high, points)
         else:
             self.grid = np.sort(manifold.u(manifold.coordinates(step)))
+        self.converged = CONVERGED * 2 * math.pi / manifold.size
         self._tables: dict[np.dtype[Any], NDArray[Any]] = {}
 
     def spectrum(self, c: Complex) -> NDArray[Any]:
@@ -153,54 +157,67 @@ class Search:
         values: NDArray[Any] = c.view(real) @ self._tables[real]
         return values
 
-    def extremum(self, c: Complex, *, maximum: bool) -> Floats:
-        """u (K,) at the largest or the least value of the polynomials (K, N).
+    def extremum(self, c: Complex, *, maximum: bool) -> tuple[Floats, Floats]:
+        """u (K,) where the polynomials (K, N) are largest or least, and their values there (K,).
 
-        Newton steps stay between the grid's neighbours of its best point; a step that would leave, or that a
-        curvature of the wrong sign would turn uphill, is replaced by bisection.
+        From the grid's best point to the vertex of the parabola through it and its neighbours, then by
+        Newton steps. These stay between the neighbours; one that would leave, or that a curvature of the
+        wrong sign would turn the wrong way, is replaced by bisection. They end early once all are so small
+        that the next would not matter.
         """
         values = self.spectrum(c)
         best = values.argmax(axis=1) if maximum else values.argmin(axis=1)
+        rows, last = np.arange(len(c)), len(self.grid) - 1
         u: Floats = self.grid[best]
-        low = self.grid[np.maximum(best - 1, 0)]
-        high = self.grid[np.minimum(best + 1, len(self.grid) - 1)]
-        exact = c.astype(np.complex128)
-        if maximum:
-            exact *= -1
+        value: Floats = values[rows, best].astype(np.float64)
+        if not self.newton_steps:
+            return u, value
+        before, after = np.maximum(best - 1, 0), np.minimum(best + 1, last)
+        low, high = self.grid[before], self.grid[after]
+        u = u + _vertex(u - low, high - u, values[rows, before] - value, values[rows, after] - value)
+        exact = np.array(c.T, np.complex128, order="C")
+        sign = -1.0 if maximum else 1.0
         for _ in range(self.newton_steps):
-            _, slope, curvature = derivatives(exact, u)
-            downhill = slope < 0
-            low, high = np.where(downhill, u, low), np.where(downhill, high, u)
-            convex = curvature > 0
-            target = u - slope / np.where(convex, curvature, 1)
-            inside = convex & (target >= low) & (target <= high)
-            u = np.where(inside, target, (low + high) / 2)
-        return u
+            at, slope, curvature = derivatives(exact, u)
+            uphill, bend = sign * slope, sign * curvature
+            low, high = np.where(uphill < 0, u, low), np.where(uphill < 0, high, u)
+            target = u - uphill / np.where(bend > 0, bend, np.inf)
+            inside = (bend > 0) & (target >= low) & (target <= high)
+            step = np.where(inside, target, (low + high) / 2) - u
+            u = u + step
+            value = at + step * (slope + 0.5 * step * curvature)
+            if np.abs(step).max() < self.converged:
+                break
+        return u, value
+
+
+def _vertex(left: Floats, right: Floats, fall_left: Floats, fall_right: Floats) -> Floats:
+    """Where the parabola through (-left, fall_left), (0, 0) and (right, fall_right) turns."""
+    a, b = fall_left * right, fall_right * left
+    bend = a + b
+    usable = (left > 0) & (right > 0) & (bend != 0)
+    return np.where(usable, 0.5 * (a * right - b * left) / np.where(usable, bend, 1), 0.0)
 
 
 def derivatives(c: NDArray[np.complex128], u: Floats) -> tuple[Floats, Floats, Floats]:
-    """Value, slope and curvature (K,) of the polynomials c (K, N) at u (K,)."""
-    n = c.shape[1]
-    k = np.arange(n, dtype=np.float64)
-    weights = np.zeros((n, 2, 3))
-    weights[:, 0, 0], weights[:, 1, 1], weights[:, 0, 2] = 1, -k, -k * k
-    terms = powers(u, n)
+    """Value, slope and curvature (K,) at u (K,) of lag polynomials c (N, K), lags first."""
+    k = np.arange(len(c), dtype=np.float64)
+    terms = powers(u, len(c))
     terms *= c
-    result: Floats = terms.view(np.float64) @ weights.reshape(2 * n, 3)
-    return result[:, 0], result[:, 1], result[:, 2]
+    weights = np.stack([np.ones_like(k), -k, -k * k])
+    sums: Floats = (weights @ terms.view(np.float64)).reshape(3, -1, 2)
+    return sums[0, :, 0], sums[1, :, 1], sums[2, :, 0]
 
 
 def powers(u: Floats, n: int) -> NDArray[np.complex128]:
-    """exp(j k u) for k = 0 ... n - 1, (K, n), by doubling: far cheaper than as many sines."""
-    out = np.empty((len(u), n), np.complex128)
-    out[:, 0] = 1
-    done = 1
-    step = np.exp(1j * u)
+    """exp(j k u) for k = 0 ... n - 1, (n, K), by doubling: far cheaper than as many sines."""
+    out = np.empty((n, len(u)), np.complex128)
+    out[0] = 1
+    step, done = np.exp(1j * u), 1
     while done < n:
         more = min(done, n - done)
-        np.multiply(out[:, :more], step[:, None], out=out[:, done : done + more])
-        step = step * step
-        done += more
+        np.multiply(out[:more], step, out=out[done : done + more])
+        step, done = step * step, done + more
     return out
 
 

@@ -48,10 +48,9 @@ def mdl(eigenvalues: Real, snapshots: NDArray[Any]) -> Orders:
     return orders
 
 
-def eigenvectors(r: Complex, order: Orders, eigen: tuple[Real, Complex] | None = None) -> Complex:
-    """The `order` (K,) dominant eigenvectors of each R: (K, N, max order), zeros beyond a UE's order."""
-    _, vectors = np.linalg.eigh(r) if eigen is None else eigen
-    most = int(order.max())
+def leading(vectors: Complex, orders: Orders) -> Complex:
+    """The last `orders` (K,) of the eigenvectors (K, N, N), last first; zeros beyond a UE's order."""
+    most = int(orders.max())
     signal = vectors[:, :, : -most - 1 : -1].copy()
-    signal *= (np.arange(most) < order[:, None])[:, None, :]
+    signal *= (np.arange(most) < orders[:, None])[:, None, :]
     return signal

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.estimation.amplitude import AmplitudeSum, ranging
-from chachart.node.estimation.axis import AxisEstimate, SpectralAxis
+from chachart.node.estimation.axis import SpectralAxis
 from chachart.node.estimation.covariance import Grouping, Weights
 from chachart.node.estimation.manifold import AngleManifold, DelayManifold
 from chachart.node.estimation.options import AMPLITUDE, Options
@@ -40,8 +40,16 @@ class Locator(Protocol):
     def clear(self, slots: Slots) -> None:
         """Start `slots` afresh."""
 
-    def update(self, group: Grouping, csi: NDArray[np.complex64], known_rho: Floats) -> Located:
-        """Take a block's frames (K, N_R, N_S) and locate its UEs; `known_rho` (U,) is NaN where unknown."""
+    def features(self, csi: NDArray[np.complex64]) -> list[NDArray[Any]]:
+        """What is kept of each frame (K, N_R, N_S), as arrays (K, ...); nothing is remembered yet."""
+
+    def energy(self, features: list[NDArray[Any]]) -> NDArray[Any]:
+        """Sum of |h|^2 of each frame (K,)."""
+
+    def estimate(
+        self, group: Grouping, features: list[NDArray[Any]], position: NDArray[np.float32]
+    ) -> Located:
+        """Take a block's frames and locate its UEs; `position` (U, 3) is NaN where unknown."""
 
     def spectrum(self, slot: int, points: int) -> dict[str, Any] | None:
         """What the estimate of `slot` was read from, on grids of `points`; None without a frame."""
@@ -61,7 +69,7 @@ class SeparateLocator:
         self._theta = SpectralAxis(
             "theta", options.theta, AngleManifold.of(array), step, array.subcarriers, options
         )
-        self._weights = Weights(options.decay)
+        self._array, self._weights = array, Weights(options.decay)
         self._rho: SpectralAxis | None = None
         self._parts: list[Any] = [self._weights, self._theta]
         if options.rho in AMPLITUDE:
@@ -90,16 +98,31 @@ class SeparateLocator:
         for part in self._parts:
             part.clear(slots)
 
-    def update(self, group: Grouping, csi: NDArray[np.complex64], known_rho: Floats) -> Located:
-        """Take a block's frames (K, N_R, N_S) and locate its UEs; rho is NaN before LR has its training."""
+    def features(self, csi: NDArray[np.complex64]) -> list[NDArray[Any]]:
+        """Of both axes, or of the angle axis and the amplitude."""
+        conjugate = csi.conj()
+        theta = self._theta.features(csi, conjugate)
+        if self._rho is None:
+            return [theta, self._amplitude.features(csi)]
+        return [theta, self._rho.features(csi.swapaxes(1, 2), conjugate.swapaxes(1, 2))]
+
+    def energy(self, features: list[NDArray[Any]]) -> NDArray[Any]:
+        """Sum of |h|^2 of each frame (K,)."""
+        theta = features[0]
+        return theta[:, 0].real if theta.ndim == 2 else np.einsum("kii->k", theta).real
+
+    def estimate(
+        self, group: Grouping, features: list[NDArray[Any]], position: NDArray[np.float32]
+    ) -> Located:
+        """Take a block's frames and locate its UEs; rho is NaN before LR has its training."""
         weight, frames = self._weights.add(group)
-        theta = self._theta.update(group, csi, weight, frames)
+        theta = self._theta.estimate(group, features[0], weight, frames)
         if self._rho is not None:
-            at = self._rho.update(group, csi.swapaxes(1, 2), weight, frames)
+            at = self._rho.estimate(group, features[1], weight, frames)
             rho, rho_std = at.value, at.std
         else:
-            s = self._amplitude.update(group, csi, weight, theta.power, _least_power(theta, csi, frames))
-            rho, rho_std = self._ranging.ranges(group.slots, s, known_rho)
+            s = self._amplitude.estimate(group, features[1], weight, theta.power)
+            rho, rho_std = self._ranging.ranges(group.slots, s, self._array.theta_rho(position)[1])
         snr = 10 * np.log10(theta.power / theta.noise)
         return Located(theta.value, rho, theta.std, rho_std, snr, frames)
 
@@ -114,9 +137,3 @@ class SeparateLocator:
             grid, values = self._rho.spectrum(slot, float(frames[0]), points)
             result |= {"rho_grid_m": grid, "rho_spectrum": values}
         return result
-
-
-def _least_power(theta: AxisEstimate, csi: NDArray[Any], frames: Floats) -> Floats:
-    """One standard deviation of the mean noise power: less signal cannot be told from none."""
-    floor: Floats = theta.noise / np.sqrt(frames * csi.shape[1] * csi.shape[2])
-    return floor

@@ -22,16 +22,19 @@ MAXIMUM = frozenset({"bartlett", "music"})
 """Methods that look for the maximum of ‖Xᴴa‖²; the others look for its minimum."""
 
 
+_SMALL = 8
+
+
 def mvdr(r: Complex, loading: float) -> Complex:
     """X (K, N, N) with X Xᴴ = (R / level + loading I)^-1, level the mean eigenvalue (Capon 1969).
 
-    From the Cholesky factor L: X = L^-H. A plain inverse would lose the null's depth in single precision.
+    With the Cholesky factor L, X = L^-H. A plain inverse would lose the null's depth in single precision.
     """
     n = r.shape[-1]
     level = np.trace(r, axis1=1, axis2=2).real / n
     scaled = r / level[:, None, None]
     scaled[:, np.arange(n), np.arange(n)] += r.real.dtype.type(loading)
-    return triangular_inverse(np.linalg.cholesky(scaled)).conj().swapaxes(1, 2)
+    return inverse_cholesky(scaled).conj().swapaxes(1, 2)
 
 
 def minnorm(signal: Complex) -> Complex:
@@ -48,15 +51,26 @@ def minnorm(signal: Complex) -> Complex:
     return w
 
 
-def triangular_inverse(lower: Complex) -> Complex:
-    """Inverse of lower triangular matrices (K, N, N), by halves: most of the work is matrix products."""
-    n = lower.shape[-1]
-    if n <= 8:
-        inverse: Complex = np.linalg.inv(lower)
-        return inverse
+def inverse_cholesky(r: Complex) -> Complex:
+    """L^-1 where R = L Lᴴ (K, N, N) is positive definite, by halves: most of the work is matrix products."""
+    n = r.shape[-1]
+    if n <= _SMALL:
+        return _triangular_inverse(np.linalg.cholesky(r))
     h = n // 2
-    out = np.zeros_like(lower)
-    upper_left = out[:, :h, :h] = triangular_inverse(lower[:, :h, :h])
-    lower_right = out[:, h:, h:] = triangular_inverse(lower[:, h:, h:])
-    np.matmul(-lower_right, np.matmul(lower[:, h:, :h], upper_left), out=out[:, h:, :h])
+    out = np.zeros_like(r)
+    upper = out[:, :h, :h] = inverse_cholesky(r[:, :h, :h])
+    below = np.matmul(r[:, h:, :h], upper.conj().swapaxes(1, 2))
+    lower = out[:, h:, h:] = inverse_cholesky(r[:, h:, h:] - np.matmul(below, below.conj().swapaxes(1, 2)))
+    np.matmul(-lower, np.matmul(below, upper), out=out[:, h:, :h])
     return out
+
+
+def _triangular_inverse(lower: Complex) -> Complex:
+    """Inverse of small lower triangular matrices (K, n, n) by substitution, the batch innermost."""
+    rows = np.ascontiguousarray(lower.transpose(1, 2, 0))
+    out = np.zeros_like(rows)
+    for i in range(len(rows)):
+        out[i, i] = 1 / rows[i, i].real
+        if i:
+            np.multiply((rows[i, :i, None] * out[:i, :i]).sum(axis=0), -out[i, i], out=out[i, :i])
+    return out.transpose(2, 0, 1)
