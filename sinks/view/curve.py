@@ -18,6 +18,8 @@ SHARES = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4)
 """Neighbours as shares of the UEs whose position is known."""
 MOST_UES = 4096
 FRESH_S = 4.0
+SEED = 0
+"""The same points for every K, so that the curve does not shake."""
 
 
 def quality_curve(chart: ChartUpdate | None, array: ArrayGeometry) -> dict[str, list[float]]:
@@ -32,15 +34,14 @@ def quality_curve(chart: ChartUpdate | None, array: ArrayGeometry) -> dict[str, 
     if chart is None or position is None:
         raise RequestError("no reference position is known")
     known = np.flatnonzero(np.isfinite(position).all(axis=1) & np.isfinite(chart.x) & np.isfinite(chart.y))
-    rng = np.random.default_rng(len(known))
     if len(known) > MOST_UES:
-        known = rng.choice(known, MOST_UES, replace=False)
+        known = np.random.default_rng(SEED).choice(known, MOST_UES, replace=False)
     truth = np.stack(array.chart_of(position[known]), axis=1)
     estimate = np.stack([chart.x[known], chart.y[known]], axis=1)
     counts = sorted({k for share in SHARES if 1 <= (k := round(share * len(known))) < len(known) / 2})
     if not counts:
         raise RequestError(f"{len(known)} known positions are too few")
-    points = [neighbourhoods(truth, estimate, k, rng=rng) for k in counts]
+    points = [neighbourhoods(truth, estimate, k, rng=np.random.default_rng(SEED)) for k in counts]
     return {
         "k": [float(k) for k in counts],
         "tw": [point.tw for point in points],

@@ -15,7 +15,7 @@ export function ticks(low, high, count) {
 /** A tick's text, with as many digits as the distance between ticks asks for. */
 export function tickText(value, values) {
   const step = values.length > 1 ? Math.abs(values[1] - values[0]) : Math.abs(value) || 1;
-  const digits = Math.min(6, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
+  const digits = Math.min(9, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
   return (Math.abs(value) < step * 1e-6 ? 0 : value).toFixed(digits).replace('-', '−');
 }
 
@@ -81,7 +81,7 @@ function labels(context, { left, top, right, bottom, labelled }, ratio) {
   context.fillText('x, along broadside (m)', (left + right) / 2, bottom + 32 * ratio);
   if (!labelled) return;
   context.save();
-  context.translate(left - 40 * ratio, (top + bottom) / 2);
+  context.translate(left - 56 * ratio, (top + bottom) / 2);
   context.rotate(-Math.PI / 2);
   context.textBaseline = 'top';
   context.fillText('y, along the array (m)', 0, 0);

@@ -118,11 +118,11 @@ function key() {
 let frames = 0;
 function measure() {
   key();
-  if (picture.view.auto) picture.fit();
+  picture.refit();
   const fps = picture.drawn - frames;
   frames = picture.drawn;
   document.documentElement.dataset.fps = fps;
-  $('counts').textContent = `${number(world.rows)} UEs · ${fps} pictures/s`;
+  $('counts').textContent = `${number(world.rows)} UEs · ${fps} fps`;
   refresh();
   picture.touch();
 }
@@ -177,6 +177,7 @@ function choose(id, set) {
     set($(id).value);
     localStorage.setItem(id, $(id).value);
     key();
+    picture.touch(true);
     picture.draw();
     if (picture.view.auto) picture.fit();
   };
@@ -248,14 +249,16 @@ choose('colour', (value) => (picture.colouring.by = value));
 choose('truth', (value) => (picture.truth = value));
 $('trails').addEventListener('change', () => {
   picture.trails = $('trails').checked;
-  picture.touch();
+  picture.touch(true);
 });
 $('find').addEventListener('submit', (event) => {
   event.preventDefault();
   const text = $('ue').value.trim();
   const ue = /^\d{1,20}$/.test(text) ? BigInt(text) : null;
-  if (ue !== null && world.index.has(ue)) select(ue);
-  else toast(`No UE ${text} in the chart`);
+  if (ue !== null && world.index.has(ue)) {
+    select(ue);
+    $('plot').focus();
+  } else toast(`No UE ${text} in the chart`);
 });
 for (const kind of ['theta', 'rho']) $(kind).addEventListener('change', () => changeMethod(kind));
 $('qualityof').addEventListener('change', takeQuality);

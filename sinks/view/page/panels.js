@@ -116,8 +116,8 @@ export function showUser(world, row, array) {
     ['ρ', number(world.rho[row], 4), { unit: `± ${number(world.rho_std[row], 2)} m`, kind: 'big' }],
     ['x', number(world.x[row], 4), { unit: 'm' }],
     ['y', number(world.y[row], 4), { unit: 'm' }],
-    ['SNR', number(world.snr[row]), { unit: 'dB' }],
-    ['Frames', number(world.snapshots[row]), { unit: 'effective' }],
+    ['SNR', world.snr[row].toFixed(1).replace('-', '−'), { unit: 'dB' }],
+    ['Frames', number(Math.round(world.snapshots[row] * 10) / 10), { unit: 'effective' }],
     ['Last heard', `${Math.max(age, 0).toFixed(1)}`, { unit: 's ago' }],
     ['Error', truth ? number(world.error(row)) : '–', { unit: truth ? 'm' : 'no truth' }],
   ]);

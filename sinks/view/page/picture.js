@@ -5,6 +5,8 @@ import { Colouring } from './colours.js';
 import { Scatter } from './scatter.js';
 import { View } from './view.js';
 
+const TRAIL_ALPHA = 120;
+const TRAILS_EVERY_MS = 500;
 const GLIDE_MS = 70; // time constant with which points follow their estimates
 
 export class Picture {
@@ -38,9 +40,10 @@ export class Picture {
     this.stale = this.dirty = true;
   }
 
-  /** Something about what is drawn has changed. */
-  touch() {
+  /** What is drawn has changed; `ground`: even what seldom does. */
+  touch(ground = false) {
     this.dirty = true;
+    this.stale ||= ground;
   }
 
   /** What the user asked for, as far as a truth is known. */
@@ -50,16 +53,35 @@ export class Picture {
 
   /** Show all UEs, their truths and the array; stays so until the user moves the view. */
   fit() {
-    const { world, view } = this;
-    view.auto = true;
+    this.view.auto = true;
+    const spans = this.#spans();
+    if (!spans) return;
+    this.fitted = spans;
+    this.view.fit(...spans);
+  }
+
+  /** Fit again where the chart has outgrown the view, or become much smaller. */
+  refit() {
+    const spans = this.#spans();
+    if (!this.view.auto || !spans) return;
+    const fits = this.fitted?.every(([low, high], axis) => {
+      const [from, to] = spans[axis];
+      const slack = 0.03 * (high - low);
+      return from > low - slack && to < high + slack && to - from > 0.8 * (high - low);
+    });
+    if (!fits) this.fit();
+  }
+
+  /** What there is to see, [x low, x high] and [y low, y high]; null before the first UE. */
+  #spans() {
+    const { world } = this;
     const spans = (columns) => {
-      const found = columns.map((column) => world.spread(column)).filter(Boolean);
+      const found = columns.map((column) => world.spread(column, 0.001, 0.999)).filter(Boolean);
       return found.length ? [Math.min(0, ...found.map((s) => s[0])), Math.max(0, ...found.map((s) => s[1]))] : null;
     };
     const truth = this.truthShown !== 'off';
     const x = spans(truth ? [world.x, world.true_x] : [world.x]);
-    const y = spans(truth ? [world.y, world.true_y] : [world.y]);
-    if (x) view.fit(x, y);
+    return x && [x, spans(truth ? [world.y, world.true_y] : [world.y])];
   }
 
   /** The row of the UE drawn nearest to a point in CSS pixels, or -1. */
@@ -124,16 +146,16 @@ export class Picture {
       this.context.fillRect(0, 0, this.canvas.width, this.canvas.height);
       for (const pane of panes) drawPane(this.context, { ...pane, title: titles.length > 1 ? pane.title : '' }, this.colours, ratio);
       this.scatter.begin();
-      this.stale = false;
     }
     const { scatter, world } = this;
-    scatter.clear();
     scatter.paint(world, this.colouring);
+    this.#settleTrails(panes);
+    scatter.clear();
     const radius = ratio * this.#radius(panes[0], ratio);
     for (const pane of panes) {
       const [xs, ys] = this.#coordinates(pane);
       if (pane.title === 'Chart') {
-        if (this.trails) scatter.trails(world, pane, 120);
+        if (this.trails) scatter.heads(world, pane, TRAIL_ALPHA);
         if (this.truthShown === 'under') {
           scatter.links(world, pane, 70);
           scatter.points(world, world.true_x, world.true_y, pane, radius * 0.7, 90);
@@ -143,6 +165,18 @@ export class Picture {
     }
     scatter.show();
     this.#overlay(panes, ratio);
+  }
+
+  /** Trails grow once a second only: draw them into the ground now and then. */
+  #settleTrails(panes) {
+    const due = performance.now() - (this.settledAt ?? 0) > TRAILS_EVERY_MS;
+    if (!this.stale && !(this.trails && due)) return;
+    this.settledAt = performance.now();
+    this.stale = false;
+    const chart = panes.at(-1);
+    this.scatter.settle(() => {
+      if (this.trails) this.scatter.trails(this.world, chart, TRAIL_ALPHA);
+    });
   }
 
   /** CSS pixels: as large as the pane and the number of UEs allow. */
@@ -189,6 +223,7 @@ export class Picture {
         context.stroke();
       }
     }
+    if (selected && pane.title === 'Chart') this.#past(context, pane, row);
     context.beginPath();
     context.arc(x, y, (selected ? 8 : 6) * ratio, 0, 2 * Math.PI);
     context.stroke();
@@ -203,6 +238,14 @@ export class Picture {
     context.fillStyle = colours.text;
     context.textBaseline = 'middle';
     context.fillText(text, left + 5 * ratio, y);
+  }
+
+  /** Where the selected UE has been. */
+  #past(context, pane, row) {
+    const past = this.world.historyOf(row);
+    context.beginPath();
+    past.x.forEach((x, i) => context.lineTo(pane.x0 + x * pane.scale, pane.y0 - past.y[i] * pane.scale));
+    context.stroke();
   }
 
   /** Two standard deviations of theta and rho, as an ellipse turned towards the array. */

@@ -2,26 +2,28 @@
 
 import { HISTORY } from './world.js';
 
+const TRAIL_POINTS = 24000; // of all UEs together
 const PHASES = 4; // sub-pixel positions a disc is prepared for, in each direction
 
-/** Coverage masks of a disc of `radius` pixels, one for each sub-pixel phase. */
-function discs(radius) {
+/** Discs of `radius` pixels, one a sub-pixel phase: where their pixels are in an image so wide, and how covered. */
+function discs(radius, width) {
   const reach = Math.ceil(radius + 1);
-  const size = 2 * reach + 1;
-  const masks = [];
-  for (let fy = 0; fy < PHASES; fy++) {
-    for (let fx = 0; fx < PHASES; fx++) {
-      const mask = new Uint8Array(size * size);
-      for (let y = 0; y < size; y++) {
-        for (let x = 0; x < size; x++) {
-          const d = Math.hypot(x - reach - fx / PHASES, y - reach - fy / PHASES);
-          mask[y * size + x] = Math.round(255 * Math.min(Math.max(radius + 0.5 - d, 0), 1));
+  const phases = Array.from({ length: PHASES * PHASES }, (_, phase) => {
+    const places = [];
+    const cover = [];
+    for (let y = -reach; y <= reach; y++) {
+      for (let x = -reach; x <= reach; x++) {
+        const d = Math.hypot(x - (phase % PHASES) / PHASES, y - Math.floor(phase / PHASES) / PHASES);
+        const alpha = Math.round(255 * Math.min(Math.max(radius + 0.5 - d, 0), 1));
+        if (alpha) {
+          places.push(y * width + x);
+          cover.push(alpha);
         }
       }
-      masks.push(mask);
     }
-  }
-  return { reach, size, masks };
+    return { places: Int32Array.from(places), cover: Uint8Array.from(cover) };
+  });
+  return { reach, phases };
 }
 
 const blend = (under, over, alpha) => {
@@ -39,12 +41,21 @@ export class Scatter {
     this.colours = new Uint32Array(0);
   }
 
-  /** Remember what is on the canvas now (ground, grid, axes) as the ground of the points. */
+  /** Take what is on the canvas now (ground, grid, axes) as what lies below everything. */
   begin() {
     const { width, height } = this.context.canvas;
-    this.ground = new Uint32Array(this.context.getImageData(0, 0, width, height).data.buffer);
+    this.plain = new Uint32Array(this.context.getImageData(0, 0, width, height).data.buffer);
     this.image = new ImageData(width, height);
     this.pixels = new Uint32Array(this.image.data.buffer);
+    this.ground = new Uint32Array(this.plain);
+    this.prepared.clear();
+  }
+
+  /** Draw what changes seldom; it stays below the points from now on. */
+  settle(draw) {
+    this.pixels.set(this.plain);
+    draw();
+    this.ground.set(this.pixels);
   }
 
   clear() {
@@ -62,11 +73,10 @@ export class Scatter {
 
   /** Discs at (xs, ys) metres in a pane; `alpha` of 256 is opaque. */
   points(world, xs, ys, pane, radius, alpha) {
-    const key = radius.toFixed(2);
-    if (!this.prepared.has(key)) this.prepared.set(key, discs(radius));
-    const { reach, size, masks } = this.prepared.get(key);
-    const { pixels, colours } = this;
+    const { pixels, colours, prepared } = this;
     const { width } = this.image;
+    if (!prepared.has(radius)) prepared.set(radius, discs(radius, width));
+    const { reach, phases } = prepared.get(radius);
     const { left, top, right, bottom, scale, x0, y0 } = pane;
     for (let i = 0; i < world.rows; i++) {
       const px = x0 + xs[i] * scale;
@@ -74,33 +84,42 @@ export class Scatter {
       if (!(px >= left + reach && px < right - reach - 1 && py >= top + reach && py < bottom - reach - 1)) continue;
       const cx = Math.floor(px);
       const cy = Math.floor(py);
-      const mask = masks[Math.floor((py - cy) * PHASES) * PHASES + Math.floor((px - cx) * PHASES)];
+      const { places, cover } = phases[Math.floor((py - cy) * PHASES) * PHASES + Math.floor((px - cx) * PHASES)];
       const colour = colours[i];
-      let m = 0;
-      for (let y = 0; y < size; y++) {
-        let at = (cy - reach + y) * width + cx - reach;
-        for (let x = 0; x < size; x++, at++, m++) {
-          if (mask[m]) pixels[at] = blend(pixels[at], colour, (mask[m] * alpha) >> 8);
-        }
+      const centre = cy * width + cx;
+      for (let m = 0; m < places.length; m++) {
+        const at = centre + places[m];
+        pixels[at] = blend(pixels[at], colour, (cover[m] * alpha) >> 8);
       }
     }
   }
 
-  /** Where every UE has been, fading with age. */
+  /** Where every UE has been, fading with age; the more UEs, the shorter. */
   trails(world, pane, weight) {
-    const { past, traces } = world;
+    const { traces } = world;
+    const { x: xs, y: ys } = world.past;
+    const { x0, y0, scale } = pane;
+    const longest = Math.min(HISTORY, Math.max(4, Math.round(TRAIL_POINTS / world.rows)));
     for (let i = 0; i < world.rows; i++) {
-      const count = Math.min(traces[i], HISTORY);
-      let toX = pane.x0 + world.px[i] * pane.scale;
-      let toY = pane.y0 - world.py[i] * pane.scale;
-      for (let back = 1; back <= count; back++) {
-        const at = i * HISTORY + ((traces[i] - back) % HISTORY);
-        const x = pane.x0 + past.x[at] * pane.scale;
-        const y = pane.y0 - past.y[at] * pane.scale;
-        this.#line(pane, toX, toY, x, y, this.colours[i], Math.round(weight * (1 - back / (HISTORY + 1))));
-        toX = x;
-        toY = y;
+      const count = Math.min(traces[i], longest);
+      let at = i * HISTORY + ((traces[i] - 1) % HISTORY);
+      for (let back = 1; back < count; back++) {
+        const from = at > i * HISTORY ? at - 1 : at + HISTORY - 1;
+        const alpha = Math.round(weight * (1 - back / (longest + 1)));
+        this.#line(pane, x0 + xs[at] * scale, y0 - ys[at] * scale, x0 + xs[from] * scale, y0 - ys[from] * scale, this.colours[i], alpha);
+        at = from;
       }
+    }
+  }
+
+  /** The newest piece of every trail, up to where the UE is drawn. */
+  heads(world, pane, weight) {
+    const { traces, px, py } = world;
+    const { x: xs, y: ys } = world.past;
+    const { x0, y0, scale } = pane;
+    for (let i = 0; i < world.rows; i++) {
+      const at = i * HISTORY + ((traces[i] - 1) % HISTORY);
+      this.#line(pane, x0 + px[i] * scale, y0 - py[i] * scale, x0 + xs[at] * scale, y0 - ys[at] * scale, this.colours[i], weight);
     }
   }
 

@@ -1,6 +1,6 @@
 // What part of the plane is seen: one or two panes with a common scale, moved by mouse, touch and keys.
 
-const MARGIN = { left: 52, right: 12, top: 12, bottom: 40 };
+const MARGIN = { left: 60, right: 12, top: 12, bottom: 40 };
 
 export class View {
   /** `changed` is called when the transform moves, `picked(x, y, pointerType)` on a click, in CSS pixels. */
