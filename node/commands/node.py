@@ -31,6 +31,8 @@ log = logging.getLogger(__name__)
 PANEL_EVERY_S = 0.25
 LINE_EVERY_S = 5.0
 POLL_S = 0.05
+SWITCH_INTERVAL_S = 0.0005
+"""Sinks must not keep new charts waiting for the interpreter as long as Python's 5 ms."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -110,6 +112,7 @@ def _run(plan: Plan, options: argparse.Namespace) -> int:
     live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
     if live is not None and options.log_format == "text":
         logs.set_up("text", options.log_level, RichHandler(console=console, show_path=False))
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     node = Node(plan, logging.getLevelNamesMapping()[options.log_level])
     signals = _Signals(node)
     node.start()

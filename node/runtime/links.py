@@ -21,12 +21,12 @@ class Links:
     directory
         Where the sockets are; nobody else may look into it.
     endpoints
-        `workers`, `results` and `commands`: Unix sockets, whose paths must stay short (107 bytes).
+        `workers`, `results`, `commands` and `quality`: Unix sockets, whose paths must stay short (107 bytes).
     """
 
     def __init__(self) -> None:
         self.directory = Path(tempfile.mkdtemp(prefix="chachart-"))
-        names = ("workers", "results", "commands")
+        names = ("workers", "results", "commands", "quality")
         self.endpoints = {name: f"ipc://{self.directory / name}" for name in names}
         self._context = zmq.Context()
         self._results = self._context.socket(zmq.PULL)

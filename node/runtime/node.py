@@ -51,7 +51,11 @@ class Node:
         self._links = Links()
         self._charts = Charts(plan.estimator)
         self._quality = QualityWatch(
-            plan.quality, plan.array, self.chart, lambda report: self._charts.report("quality", report)
+            plan.quality,
+            self.chart,
+            lambda report: self._charts.report("quality", report),
+            self._start_quality,
+            self._links.endpoints["quality"],
         )
         self._pending = PendingRequests(lambda values: self._links.command(messages.REQUEST, values))
         self._supervisor = Supervisor(plan.workers.count, self._start_worker, self._worker_died)
@@ -79,7 +83,7 @@ class Node:
             If something the plan asks for cannot be; everything is closed again then.
         """
         try:
-            self._feeder = Child("feeder", "chachart.node.runtime.feeder", self._feeder_settings())
+            self._feeder = self._start_feeder()
             self._supervisor.check()
             for sink_class, settings in self._plan.sinks:
                 if not sink_class.wants_csi:
@@ -122,6 +126,7 @@ class Node:
     def kill(self) -> None:
         """End all child processes at once; a node that is killed leaves no summary."""
         self._supervisor.kill()
+        self._quality.kill()
         if self._feeder is not None:
             self._feeder.kill()
         self._links.remove_directory()
@@ -292,13 +297,11 @@ class Node:
         self._links.close()
         self.closed = True
 
-    def _feeder_settings(self) -> dict[str, Any]:
+    def _start_feeder(self) -> Child:
         plan = self._plan
-        return {
-            "log_level": self._log_level,
-            "directory": str(self._links.directory),
+        settings = {
+            **self._common_settings(),
             "sockets": self._links.endpoints,
-            "array": plan.array.as_dict(),
             "source": {
                 "class": class_path(plan.source),
                 "settings": plan.source_settings.model_dump(mode="json"),
@@ -311,17 +314,27 @@ class Node:
                 if sink.wants_csi
             ],
         }
+        return Child("feeder", "chachart.node.runtime.feeder", settings)
 
     def _start_worker(self, shard: int) -> Child:
         settings = {
-            "log_level": self._log_level,
-            "directory": str(self._links.directory),
+            **self._common_settings(),
             "workers": self._links.endpoints["workers"],
             "shard": shard,
-            "array": self._plan.array.as_dict(),
             "estimator": self._plan.worker_estimator(),
         }
         return Child(f"worker {shard}", "chachart.node.runtime.worker", settings)
+
+    def _start_quality(self) -> Child:
+        settings = {**self._common_settings(), "quality": self._links.endpoints["quality"]}
+        return Child("quality", "chachart.node.runtime.quality_watch", settings)
+
+    def _common_settings(self) -> dict[str, Any]:
+        return {
+            "log_level": self._log_level,
+            "directory": str(self._links.directory),
+            "array": self._plan.array.as_dict(),
+        }
 
     def _worker_died(self, shard: int, pid: int) -> None:
         self._links.command(messages.LOST, {"shard": shard, "pid": pid})

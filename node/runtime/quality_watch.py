@@ -1,4 +1,7 @@
-"""Works out how good the chart is, every few seconds, in a thread that yields to everything else."""
+"""Works out how good the chart is, every few seconds, in a process that yields to everything else.
+
+Not in a thread: one that holds the interpreter while it waits for its turn would hold up the estimates too.
+"""
 
 from __future__ import annotations
 
@@ -10,20 +13,25 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import zmq
 
 from chachart.config.settings import QualitySettings
 from chachart.node.chart import ChartUpdate
+from chachart.node.errors import RequestError
 from chachart.node.estimation.quality import assess
 from chachart.node.geometry import ArrayGeometry
+from chachart.node.runtime import messages
+from chachart.node.runtime.child import Child, read_settings
 
 log = logging.getLogger(__name__)
 
 FEWEST_UES = 4
 """With fewer, no figure means anything."""
 NICENESS = 15
-"""The thread's; the estimates come first."""
-MOST_OF_TIME = 0.1
+MOST_OF_TIME = 0.25
 """Share of the time that may go into quality, however long one report takes."""
+REPORT_WITHIN_S = 60.0
+POLL_S = 0.1
 
 
 class QualityWatch:
@@ -31,27 +39,35 @@ class QualityWatch:
 
     Parameters
     ----------
-    settings, array
-        `[quality]`, and the array that the positions are seen from.
+    settings
+        `[quality]`.
     chart
         Gives the chart as it stands.
     publish
         Takes each report.
+    start
+        Starts the process that assesses, once there is something to assess.
+    endpoint
+        Where that process connects.
     """
 
     def __init__(
         self,
         settings: QualitySettings,
-        array: ArrayGeometry,
         chart: Callable[[], ChartUpdate | None],
         publish: Callable[[dict[str, Any]], None],
+        start: Callable[[], Child],
+        endpoint: str,
     ) -> None:
         self.latest: dict[str, Any] | None = None
         self._settings = settings
-        self._array = array
         self._chart = chart
         self._publish = publish
-        self._stopping = threading.Event()
+        self._start = start
+        self._endpoint = endpoint
+        self._child: Child | None = None
+        self._reports = 0
+        self._finishing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="quality", daemon=True)
 
     def start(self) -> None:
@@ -59,14 +75,32 @@ class QualityWatch:
         self._thread.start()
 
     def finish(self) -> None:
-        """Stop reporting, but for one last report on the whole chart."""
-        self._stopping.set()
+        """Report one last time on the whole chart, and end."""
+        self._finishing.set()
         if self._thread.ident is not None:
             self._thread.join()
-        self.report()
 
-    def report(self) -> None:
-        """Work out a report now; none where too few positions are known."""
+    def kill(self) -> None:
+        """End the process now."""
+        self._finishing.set()
+        if self._child is not None:
+            self._child.kill()
+
+    def _run(self) -> None:
+        with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
+            socket.linger = 0
+            socket.bind(self._endpoint)
+            wait = self._settings.every_s
+            while not self._finishing.wait(wait):
+                started = time.monotonic()
+                self._report(socket)
+                wait = max(self._settings.every_s, (time.monotonic() - started) / MOST_OF_TIME)
+            self._report(socket)
+            if self._child is not None:
+                socket.send_multipart([messages.END])
+                self._child.close()
+
+    def _report(self, socket: zmq.Socket[bytes]) -> None:
         chart = self._chart()
         if chart is None or chart.position is None:
             return
@@ -74,17 +108,58 @@ class QualityWatch:
         if len(known) < FEWEST_UES:
             return
         try:
-            report = assess(chart.take(known), self._array, self._settings.k, self._settings.exact_ues)
-        except ValueError as error:
+            report = self._ask(socket, chart.take(known))
+        except RequestError as error:
             log.warning("no quality report: %s", error)
             return
         self.latest = report
         self._publish(report)
 
-    def _run(self) -> None:
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
-        wait = self._settings.every_s
-        while not self._stopping.wait(wait):
-            started = time.monotonic()
-            self.report()
-            wait = max(self._settings.every_s, (time.monotonic() - started) / MOST_OF_TIME)
+    def _ask(self, socket: zmq.Socket[bytes], chart: ChartUpdate) -> dict[str, Any]:
+        if self._child is None:
+            self._child = self._start()
+        self._reports += 1
+        question = {"id": self._reports, "k": self._settings.k, "exact_ues": self._settings.exact_ues}
+        deadline = time.monotonic() + REPORT_WITHIN_S
+        self._await(socket, zmq.POLLOUT, self._child, deadline)
+        socket.send_multipart([messages.REQUEST, messages.pack(question), messages.pack_update(chart)])
+        while True:
+            self._await(socket, zmq.POLLIN, self._child, deadline)
+            answer = messages.unpack(socket.recv_multipart()[1])
+            if answer["id"] == self._reports:
+                break
+        if "error" in answer:
+            raise RequestError(answer["error"])
+        report: dict[str, Any] = answer["result"]
+        return report
+
+    def _await(self, socket: zmq.Socket[bytes], event: int, child: Child, deadline: float) -> None:
+        """Wait until the socket is ready; a process that is dead or late is given up."""
+        while not socket.poll(int(POLL_S * 1e3), event):
+            if child.exit_code() is not None or time.monotonic() > deadline:
+                child.kill()
+                child.close()
+                self._child = None
+                raise RequestError("the quality process died or took too long")
+
+
+def main() -> None:
+    """Run as `python -m chachart.node.runtime.quality_watch`, settings on stdin."""
+    settings = read_settings()
+    os.nice(NICENESS)
+    array = ArrayGeometry.from_dict(settings["array"])
+    with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
+        socket.connect(settings["quality"])
+        while (parts := socket.recv_multipart())[0] != messages.END:
+            question = messages.unpack(parts[1])
+            answer: dict[str, Any] = {"id": question["id"]}
+            try:
+                chart = messages.unpack_update(parts[2])
+                answer["result"] = assess(chart, array, question["k"], question["exact_ues"])
+            except ValueError as error:
+                answer["error"] = str(error)
+            socket.send_multipart([messages.REPLY, messages.pack(answer)])
+
+
+if __name__ == "__main__":
+    main()

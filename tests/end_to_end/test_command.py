@@ -87,7 +87,7 @@ def test_children_follow_the_main_process_in_death(run_node: RunNode, tmp_path: 
     node = run_node(LIVE)
     busy(node)
     children = node.children("")
-    assert len(children) == 3
+    assert len(children) >= 3
     node.signal(signal.SIGKILL)
     node.finish()
     until(lambda: gone(children), "the children are gone")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import odd_sources
 import pytest
-from node_runs import ARRAY, DEADLINE_S, adds_up, capture_blocks, until
+from node_runs import ARRAY, DEADLINE_S, adds_up, capture_blocks, children, until
 
 from chachart.config.settings import EstimatorSettings, QualitySettings, WorkersSettings
 from chachart.node.csi import CsiBlock
@@ -150,6 +150,19 @@ def test_frames_of_another_shape_are_rejected(make_node: MakeNode) -> None:
 def test_gaps_and_late_frames_are_counted(make_node: MakeNode) -> None:
     summary = run(make_node("order"))
     assert (summary["gaps"], summary["out_of_order"]) == (odd_sources.FRAMES, odd_sources.FRAMES)
+
+
+def test_a_dead_quality_process_is_replaced(make_node: MakeNode, caplog: pytest.LogCaptureFixture) -> None:
+    node = make_node(loops=0)
+    node.start()
+    until(lambda: node.quality(), "there is a quality report")
+    [process] = children(os.getpid(), "quality")
+    os.kill(process, signal.SIGKILL)
+    until(lambda: "quality process died" in caplog.text, "it is noticed")
+    until(lambda: children(os.getpid(), "quality") not in ([], [process]), "another one starts")
+    node.stop()
+    assert node.wait(DEADLINE_S)
+    assert node.close()["quality"]["tw"] > 0.9
 
 
 def test_a_dead_feeder_ends_the_node(make_node: MakeNode) -> None:

@@ -51,6 +51,13 @@ def capture_blocks(ues: int = 40, rounds: int = 25, block: int = 100) -> list[Cs
     ]
 
 
+def children(parent: int, what: str) -> list[int]:
+    """Process ids of the children of `parent` that run the runtime's module `what`."""
+    tasks = Path(f"/proc/{parent}/task").iterdir()
+    pids = [pid for task in tasks for pid in (task / "children").read_text().split()]
+    return [int(pid) for pid in pids if f"runtime.{what}" in Path(f"/proc/{pid}/cmdline").read_text()]
+
+
 @dataclass
 class Running:
     """A node as a process of its own."""
@@ -74,9 +81,7 @@ class Running:
 
     def children(self, what: str) -> list[int]:
         """Process ids of the node's children that run the module `what`."""
-        tasks = Path(f"/proc/{self.process.pid}/task").iterdir()
-        pids = [pid for task in tasks for pid in (task / "children").read_text().split()]
-        return [int(pid) for pid in pids if f"runtime.{what}" in Path(f"/proc/{pid}/cmdline").read_text()]
+        return children(self.process.pid, what)
 
 
 def adds_up(summary: dict[str, Any]) -> bool:
