@@ -7,9 +7,12 @@ from typing import Any
 import numpy as np
 
 from chachart.node.chart import ChartUpdate, Method
+from chachart.node.runtime.status import NodeStatus
 
 QUALITY: dict[str, Any] = {"tw": 0.998, "ct": 0.997, "k": 5, "ues": 100, "stress": float("nan")}
-STATUS: dict[str, Any] = {"frames_in": 10, "dropped": {"queue_full": 3}, "workers": [{"pid": 1}], "rate": 2.5}
+STATUS: dict[str, Any] = NodeStatus(
+    state="running", array="lab", frames_in=10, frames_estimated=7, dropped={"queue_full": 3}
+).as_dict()
 
 
 def some_chart(
