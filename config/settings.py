@@ -8,7 +8,9 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
+from chachart.config.calibration import load_calibration
 from chachart.config.model import Settings
+from chachart.node.calibration import Calibration
 from chachart.node.geometry import SPEED_OF_LIGHT, ArrayGeometry, Vector
 
 SpectralMethod = Literal["bartlett", "mvdr", "minnorm", "music"]
@@ -43,8 +45,10 @@ class ArraySettings(Settings):
     """Height above the plane of the UEs; where set, slant ranges are projected to that plane."""
     light_speed_m_s: float = Field(SPEED_OF_LIGHT, gt=0)
     """Propagation speed; some published scenarios use 3e8."""
+    antenna_order: tuple[int, ...] | None = Field(None, examples=[(1, 0)])
+    """For each element in turn, the number that its antenna has in the frames; not set: the same."""
     calibration: Path | None = None
-    """Calibration file to apply to every frame."""
+    """A file of `chachart calibrate`, undone in every frame; it has an antenna order of its own."""
 
     @field_validator("axis", "broadside")
     @classmethod
@@ -85,6 +89,22 @@ class ArraySettings(Settings):
             height_m=self.height_m,
             light_speed_m_s=self.light_speed_m_s,
         )
+
+    def correction(self) -> Calibration | None:
+        """What `antenna_order` or the calibration file says; None where neither is set.
+
+        Raises
+        ------
+        ValueError
+            If both are set, or the file cannot be read.
+        """
+        if self.calibration is None:
+            if self.antenna_order is None:
+                return None
+            return Calibration.order_only(self.antenna_order, self.subcarriers)
+        if self.antenna_order is not None:
+            raise ValueError("antenna_order cannot be set beside calibration, which has one of its own")
+        return load_calibration(self.calibration)
 
 
 class EstimatorSettings(Settings):

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from chachart.node.calibration import Calibration
+
 SPEED_OF_LIGHT = 299_792_458.0
 """Speed of light in vacuum, m/s."""
 
@@ -44,6 +46,8 @@ class ArrayGeometry:
         Height of the array above the plane of the UEs; None leaves the slant range unprojected.
     light_speed_m_s
         Propagation speed; some published scenarios round it to 3e8.
+    calibration
+        Order and response of the antennas; the estimators undo it. None: the frames are as they should be.
 
     Raises
     ------
@@ -62,6 +66,7 @@ class ArrayGeometry:
     broadside: Vector = (1.0, 0.0, 0.0)
     height_m: float | None = None
     light_speed_m_s: float = SPEED_OF_LIGHT
+    calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
         if type(self.name) is not str or not self.name:
@@ -84,6 +89,12 @@ class ArrayGeometry:
                 raise ValueError(f"{name} must be a unit vector of 3 numbers, not {getattr(self, name)}")
         if abs(float(axis @ broadside)) > 1e-6:
             raise ValueError(f"broadside {self.broadside} must be orthogonal to axis {self.axis}")
+        c = self.calibration
+        if c is not None and (c.antennas, c.subcarriers) != (self.antennas, self.subcarriers):
+            raise ValueError(
+                f"the calibration is of {c.antennas} antennas and {c.subcarriers} subcarriers, "
+                f"the array has {self.antennas} and {self.subcarriers}"
+            )
 
     @property
     def wavelength_m(self) -> float:
@@ -141,11 +152,15 @@ class ArrayGeometry:
         return offset @ np.asarray(self.broadside), offset @ np.asarray(self.axis)
 
     def mismatches(self, other: ArrayGeometry) -> list[str]:
-        """What differs between two descriptions of one array, one phrase a field; the name does not count."""
+        """What differs between two descriptions of one array, one phrase a field.
+
+        Name and calibration do not count: both may change while the array stays the same.
+        """
         return [
             f"{f.name}: {getattr(self, f.name)} against {getattr(other, f.name)}"
             for f in fields(self)
-            if f.name != "name" and not _same(getattr(self, f.name), getattr(other, f.name))
+            if f.name not in ("name", "calibration")
+            and not _same(getattr(self, f.name), getattr(other, f.name))
         ]
 
     def as_dict(self) -> dict[str, Any]:
@@ -165,6 +180,8 @@ class ArrayGeometry:
         if unknown := sorted(set(values) - known):
             raise ValueError(f"unknown array fields: {', '.join(unknown)}")
         plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        if plain.get("calibration") is not None:
+            plain["calibration"] = Calibration.from_dict(plain["calibration"])
         try:
             return cls(**plain)
         except (TypeError, OverflowError) as error:

@@ -14,7 +14,7 @@ ROOMS = ("config", "node", "sinks", "sources")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 MODULES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
 
-PURE = {"chart", "counters", "csi", "estimation", "geometry"}
+PURE = {"calibration", "chart", "counters", "csi", "estimation", "geometry"}
 """What of chachart.node estimation may import."""
 IO_MODULES = {"socket", "zmq", "asyncio", "subprocess", "multiprocessing", "threading", "pathlib", "io", "os"}
 

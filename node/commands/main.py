@@ -12,6 +12,7 @@ from chachart.node.commands.cli import guarded
 
 COMMANDS = {
     "bench": "measure how fast this machine runs chachart",
+    "calibrate": "find an array's calibration, and swapped cables, from a recording",
     "config": "print a commented sample configuration",
     "ctl": "ask and steer a running node",
     "frontend": "be an array front-end on a serial line or a CAN bus, with faults on request",

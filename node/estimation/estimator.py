@@ -28,7 +28,7 @@ class ChartEstimator:
     Parameters
     ----------
     array
-        The array whose frames come in.
+        The array whose frames come in; its calibration, where it has one, is applied to them.
     options
         See `Options` for names, defaults and meaning.
 
@@ -66,6 +66,7 @@ class ChartEstimator:
         self._position = Bank((3,), np.float32, 1.0)
         self._latest = Bank((4,), np.float64, 1.0)
         self._locator = self._make_locator()
+        self._correct = None if array.calibration is None else array.calibration.corrector()
 
     @property
     def method(self) -> Method:
@@ -108,6 +109,8 @@ class ChartEstimator:
             self.rejected.add("shape", len(block))
             return self._nothing()
         with np.errstate(all="ignore"):
+            if self._correct is not None:
+                block = dataclasses.replace(block, csi=self._correct(block.csi))
             features = self._locator.features(block.csi)
             energy = self._locator.energy(features)
         good = (energy > LEAST_ENERGY) & (energy < MOST_ENERGY)

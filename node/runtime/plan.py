@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from chachart.config.load import NodeSettings
@@ -89,7 +89,7 @@ class Plan:
 def resolve_array(
     configured: ArraySettings | None, source: type[Source], source_settings: SourceSettings
 ) -> ArrayGeometry:
-    """The array that the source measures with.
+    """The array that the source measures with; a calibration in `[array]` goes before one that it carries.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def resolve_array(
             )
         return carried
     try:
-        array = configured.geometry()
+        array = replace(configured.geometry(), calibration=configured.correction())
     except ValueError as error:
         raise SetupError(f"[array]: {error}") from None
     if carried is not None and (differences := array.mismatches(carried)):
@@ -112,6 +112,8 @@ def resolve_array(
             f'[array] does not fit source "{source_settings.type}": {"; ".join(differences)} '
             "(leave [array] out to take the source's)"
         )
+    if carried is not None and array.calibration is None:
+        array = replace(array, calibration=carried.calibration)
     return array
 
 

@@ -1,0 +1,106 @@
+"""Calibration files: what `chachart calibrate` writes and `array.calibration` names. TOML."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, ValidationError
+
+from chachart.config.describe import toml
+from chachart.config.model import Settings
+from chachart.node.calibration import Calibration
+
+
+class AntennaTable(Settings):
+    """Per element of the array, in its order."""
+
+    order: tuple[int, ...]
+    """The input that each element is connected to."""
+    gain_db: tuple[float, ...]
+    """Gain of its way to the receiver."""
+    phase_deg: tuple[float, ...]
+    """Phase of its way to the receiver."""
+
+
+class SubcarrierTable(Settings):
+    """Per subcarrier, common to all antennas."""
+
+    gain_db: tuple[float, ...]
+    """Gain."""
+    phase_deg: tuple[float, ...]
+    """Phase; a delay is a slope of it."""
+
+
+class CalibrationFile(Settings):
+    """A calibration as it is kept."""
+
+    version: Literal[1] = 1
+    """Of this format."""
+    note: str = Field("", max_length=1000)
+    """Where it comes from, for people."""
+    antenna: AntennaTable
+    """Order and response of the antennas."""
+    subcarrier: SubcarrierTable
+    """Response of the subcarriers."""
+
+
+def load_calibration(path: Path) -> Calibration:
+    """The calibration in a file.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read or holds none.
+    """
+    try:
+        document = tomllib.loads(path.read_text("utf-8"))
+        file = CalibrationFile.model_validate(document)
+        return Calibration(
+            file.antenna.order,
+            tuple(10 ** (db / 20) for db in file.antenna.gain_db),
+            tuple(math.radians(d) for d in file.antenna.phase_deg),
+            tuple(10 ** (db / 20) for db in file.subcarrier.gain_db),
+            tuple(math.radians(d) for d in file.subcarrier.phase_deg),
+        )
+    except OSError as error:
+        raise ValueError(f"calibration {path} cannot be read: {error.strerror}") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise ValueError(f"{path} is no calibration: {where}: {first['msg']}") from None
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{path} is no calibration: {error}") from None
+
+
+def save_calibration(path: Path, calibration: Calibration, note: str) -> None:
+    """Write a calibration to a file.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    c = calibration
+    tables = {
+        "antenna": {
+            "order": c.antenna_order,
+            "gain_db": _db(c.antenna_gain),
+            "phase_deg": _degrees(c.antenna_phase_rad),
+        },
+        "subcarrier": {"gain_db": _db(c.subcarrier_gain), "phase_deg": _degrees(c.subcarrier_phase_rad)},
+    }
+    lines = ["version = 1", f"note = {toml(note)}"]
+    for name, table in tables.items():
+        lines += ["", f"[{name}]", *(f"{key} = {toml(value)}" for key, value in table.items())]
+    path.write_text("\n".join(lines) + "\n", "utf-8")
+
+
+def _db(gains: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(round(20 * math.log10(g), 5) for g in gains)
+
+
+def _degrees(phases: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(round(math.degrees(p), 4) for p in phases)
