@@ -14,6 +14,8 @@ import pytest
 import zmq
 from node_runs import Running, adds_up, until
 
+from chachart.node.commands.node import main
+
 RunNode = Callable[..., Running]
 
 LIVE = """
@@ -55,15 +57,20 @@ def test_a_recording_that_ends_ends_the_node(run_node: RunNode, capture: Path) -
     assert "frames in 1000, estimated 1000, dropped 0" in node.said()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_first_signal_drains(run_node: RunNode, number: int, tmp_path: Path) -> None:
+def test_the_first_signal_drains(run_node: RunNode, tmp_path: Path) -> None:
     node = run_node(LIVE)
     busy(node)
     children = node.children("")
-    node.signal(number)
+    for (
+        pid
+    ) in children:  # a terminal's or systemd's signals may reach them too: they wait for the main process
+        os.kill(pid, signal.SIGINT)
+        os.kill(pid, signal.SIGTERM)
+    node.signal(signal.SIGTERM)
     assert node.finish() == 0
     summary = node.summary()
     assert adds_up(summary)
+    assert summary["worker_restarts"] == 0
     assert "drain_deadline" not in summary["dropped"]
     assert gone(children)
     assert list(tmp_path.glob("chachart-*")) == []
@@ -94,33 +101,6 @@ def test_children_follow_the_main_process_in_death(run_node: RunNode, tmp_path: 
     assert list(tmp_path.glob("chachart-*")) == []
 
 
-def test_children_leave_the_terminals_signals_to_the_main_process(run_node: RunNode) -> None:
-    node = run_node(LIVE, "--set", "workers.count=1")
-    busy(node)
-    for pid in node.children(""):
-        os.kill(pid, signal.SIGINT)
-        os.kill(pid, signal.SIGTERM)
-    node.signal(signal.SIGINT)
-    assert node.finish() == 0
-    assert node.summary()["worker_restarts"] == 0
-
-
-def test_kill_9_of_a_worker_under_live_load(run_node: RunNode) -> None:
-    node = run_node(LIVE)
-    busy(node)
-    victim = node.children("worker")[0]
-    os.kill(victim, signal.SIGKILL)
-    until(lambda: f"(process {victim}) died: killed by SIGKILL; restarting" in node.said(), "it says so")
-    until(lambda: len(node.children("worker")) == 2, "the successor starts")
-    node.signal(signal.SIGINT)
-    assert node.finish() == 0
-    summary = node.summary()
-    assert summary["worker_restarts"] == 1
-    assert adds_up(summary)
-    assert set(summary["dropped"]) <= {"worker_lost", "queue_full"}
-    assert summary["frames_estimated"] > 0
-
-
 def test_anybody_can_subscribe_even_while_a_worker_is_killed(run_node: RunNode, tmp_path: Path) -> None:
     endpoint = f"ipc://{tmp_path / 'charts'}"
     node = run_node(LIVE + f'[[sinks]]\ntype = "publisher"\nendpoint = "{endpoint}"\n')
@@ -149,10 +129,13 @@ def test_anybody_can_subscribe_even_while_a_worker_is_killed(run_node: RunNode, 
             return killed is not None and len(seen) == 50 and kinds == {"chart", "status", "quality"}
 
         until(enough, "all UEs are published, again after a kill")
+    assert f"(process {killed}) died: killed by SIGKILL; restarting" in node.said()
     node.signal(signal.SIGINT)
     assert node.finish() == 0
-    assert node.summary()["worker_restarts"] == 1
-    assert adds_up(node.summary())
+    summary = node.summary()
+    assert summary["worker_restarts"] == 1
+    assert adds_up(summary)
+    assert set(summary["dropped"]) <= {"worker_lost", "queue_full"}
 
 
 def test_duration_ends_it(run_node: RunNode) -> None:
@@ -209,10 +192,10 @@ def test_check_of_a_good_configuration(run_node: RunNode, capture: Path) -> None
 
 
 @pytest.mark.parametrize("arguments", [("--duration", "-1"), ("--duration", "soon"), ("--dance",)])
-def test_wrong_arguments(run_node: RunNode, arguments: tuple[str, ...]) -> None:
-    node = run_node(LIVE, *arguments)
-    assert node.finish() == 2
-    assert "Traceback" not in node.said()
+def test_wrong_arguments(arguments: tuple[str, ...]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
 
 
 def test_a_summary_that_cannot_be_written(run_node: RunNode, tmp_path: Path) -> None:

@@ -140,16 +140,12 @@ def test_a_source_that_fails_ends_the_node_and_counts_add_up(make_node: MakeNode
     assert summary["frames_in"] == summary["frames_estimated"] == odd_sources.FRAMES * odd_sources.BLOCKS // 2
 
 
-def test_frames_of_another_shape_are_rejected(make_node: MakeNode) -> None:
-    summary = run(make_node("shape"))
+def test_odd_frames_are_rejected_and_odd_numbers_counted(make_node: MakeNode) -> None:
+    summary = run(make_node("frames"))
     assert summary["rejected"] == {"shape": odd_sources.FRAMES}
     assert summary["frames_in"] == odd_sources.FRAMES * (odd_sources.BLOCKS - 1)
+    assert (summary["gaps"], summary["out_of_order"]) == (2 * odd_sources.FRAMES, odd_sources.FRAMES)
     assert adds_up(summary)
-
-
-def test_gaps_and_late_frames_are_counted(make_node: MakeNode) -> None:
-    summary = run(make_node("order"))
-    assert (summary["gaps"], summary["out_of_order"]) == (odd_sources.FRAMES, odd_sources.FRAMES)
 
 
 def test_a_dead_quality_process_is_replaced(make_node: MakeNode, caplog: pytest.LogCaptureFixture) -> None:

@@ -18,8 +18,8 @@ class OddSettings(SourceSettings):
     """What goes wrong, and when."""
 
     type: Literal["odd"] = "odd"
-    odd: Literal["open", "crash", "recv", "shape", "order"] = "open"
-    """`open` fails, or `crash`es; `recv` raises half-way; a wrong `shape`; blocks out of `order`."""
+    odd: Literal["open", "crash", "recv", "frames"] = "open"
+    """`open` fails, or `crash`es; `recv` raises half-way; odd `frames`: a wrong shape, a wrong number."""
 
 
 class Odd(Source):
@@ -41,13 +41,12 @@ class Odd(Source):
         if n == BLOCKS:
             raise EndOfSource
         self._sent += 1
-        if n == BLOCKS // 2:
-            if odd == "recv":
-                raise RuntimeError("the radio was unplugged")
-            if odd == "shape":
-                return self._block(n, antennas=self.array.antennas + 1)
-            if odd == "order":
-                return self._block(n + 1)
+        if n == BLOCKS // 2 and odd == "recv":
+            raise RuntimeError("the radio was unplugged")
+        if n == 5 and odd == "frames":
+            return self._block(n, antennas=self.array.antennas + 1)
+        if n == 10 and odd == "frames":
+            return self._block(n + 1)
         return self._block(n)
 
     def _block(self, n: int, antennas: int | None = None) -> CsiBlock:
