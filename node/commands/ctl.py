@@ -32,15 +32,14 @@ Reply = dict[str, Any]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line of `chachart ctl`."""
-    parser.add_argument("--endpoint", default=ENDPOINT, help=f"the node's control endpoint ({ENDPOINT})")
-    parser.add_argument("--token", help="the control sink's token, needed from another machine")
-    parser.add_argument("--timeout", type=float, default=10.0, metavar="S", help="seconds to wait (10)")
-    parser.add_argument("--json", action="store_true", help="print the node's answer as JSON")
+    """The command line of `chachart ctl`; options may stand before or after the operation."""
+    _add_options(parser, endpoint=ENDPOINT, token=None, timeout=10.0, json=False)
+    shared = argparse.ArgumentParser(add_help=False, argument_default=argparse.SUPPRESS)
+    _add_options(shared)
     operations = parser.add_subparsers(metavar="OPERATION", required=True)
 
     def operation(name: str, purpose: str, show: Callable[[Reply, argparse.Namespace], None]) -> Any:
-        added = operations.add_parser(name, help=purpose)
+        added = operations.add_parser(name, help=purpose, parents=[shared])
         added.set_defaults(op=name, show=show)
         return added
 
@@ -58,6 +57,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     snapshot = operation("snapshot", "save the whole chart as .csv or .json", _save)
     snapshot.add_argument("file", type=Path, metavar="FILE")
     snapshot.set_defaults(op="chart")
+
+
+def _add_options(parser: argparse.ArgumentParser, **defaults: Any) -> None:
+    parser.add_argument("--endpoint", help=f"the node's control endpoint ({ENDPOINT})")
+    parser.add_argument("--token", help="the control sink's token, needed from another machine")
+    parser.add_argument("--timeout", type=float, metavar="S", help="seconds to wait (10)")
+    parser.add_argument("--json", action="store_true", help="print the node's answer as JSON")
+    parser.set_defaults(**defaults)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -18,6 +18,7 @@ token = "{TOKEN}"
 [[sinks]]
 type = "metrics"
 port = 0
+stale_after_s = 0.001
 [[sinks]]
 type = "control"
 endpoint = "tcp://127.0.0.1:0"

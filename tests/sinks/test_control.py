@@ -4,16 +4,28 @@ from __future__ import annotations
 
 import csv
 import json
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import msgpack
 import pytest
 import zmq
+from hypothesis import given
+from hypothesis import strategies as st
 from live_node import LiveNode, until
 
 from chachart.node.commands.main import main
-from chachart.node.errors import EX_CONFIG
+from chachart.node.errors import EX_CONFIG, RequestError
+from chachart.sinks.control import _decode
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.text(),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text() | st.integers(0, 9), inner, max_size=3)
+    ),
+    max_leaves=5,
+)
 
 
 def ctl(node: LiveNode, *arguments: str) -> int:
@@ -68,11 +80,17 @@ def test_bad_requests_get_an_error_and_the_next_good_one_its_answer(node: LiveNo
     assert (after["method"], after["recording"]) == (before["method"], before["recording"])
 
 
+@given(st.binary(max_size=200) | JSON.map(json.dumps).map(str.encode) | JSON.map(msgpack.packb))
+def test_whatever_comes_is_a_map_or_an_error(message: bytes) -> None:
+    with suppress(RequestError):
+        assert all(isinstance(key, str) for key in _decode([zmq.Frame(message)]))
+
+
 def test_ctl_shows_the_node(node: LiveNode, capsys: pytest.CaptureFixture[str]) -> None:
     until(lambda: (node.ask("api/status")["quality"] or {}).get("tw"), "there is a quality report")
     assert ctl(node, "status") == 0
     assert "running" in capsys.readouterr().out
-    assert ctl(node, "--json", "status") == 0
+    assert ctl(node, "status", "--json") == 0
     assert json.loads(capsys.readouterr().out)["ues"] == 60
     assert ctl(node, "ues") == 0
     assert len(capsys.readouterr().out.splitlines()) == 61
@@ -86,7 +104,7 @@ def test_ctl_changes_the_method_and_no_frame_is_lost(node: LiveNode) -> None:
     assert ctl(node, "method", "bartlett", "bartlett") == 0
     until(lambda: node.ask("api/chart")["method"]["theta"] == "bartlett", "and with Bartlett again")
     status = node.ask("api/status")
-    assert not status["dropped"]
+    assert set(status["dropped"]) <= {"queue_full"}, "a slow machine may drop, a change may not"
     assert sum(worker["restarts"] for worker in status["workers"]) == 0
 
 

@@ -56,7 +56,7 @@ export class Stream extends EventTarget {
       this.attempts = 0;
       this.heard = performance.now();
       this.#become(this.paused ? 'paused' : 'live');
-      if (this.paused) this.pause(true);
+      if (this.paused || document.hidden) this.ask('stream', { on: false }).catch(() => {});
     };
     socket.onclose = ({ code, reason }) => {
       for (const id of [...this.asked.keys()]) this.#settle(id, { error: 'the node is gone' });

@@ -41,6 +41,7 @@ export class World {
   /** Take a chart frame in. A full one is the whole truth: UEs it does not name are gone. */
   apply(frame) {
     this.version++;
+    if (frame.full) this.newest = 0;
     for (let i = 0; i < frame.rows; i++) {
       const ue = frame.ue[i];
       let row = this.index.get(ue);
@@ -69,8 +70,10 @@ export class World {
   #trace(row) {
     const { past } = this;
     const base = row * HISTORY;
-    const count = this.traces[row];
-    if (count && this.time[row] - past.time[base + ((count - 1) % HISTORY)] < 1000) return;
+    let count = this.traces[row];
+    const since = count ? this.time[row] - past.time[base + ((count - 1) % HISTORY)] : Infinity;
+    if (since >= 0 && since < 1000) return;
+    if (since < 0) count = 0; // a replay has begun anew
     const at = base + (count % HISTORY);
     for (const name of TRACED) past[name][at] = this[name][row];
     past.time[at] = this.time[row];

@@ -51,14 +51,17 @@ def test_every_file_of_the_page_is_served_under_a_strict_policy(node: LiveNode) 
 
 
 def test_health_and_metrics(node: LiveNode) -> None:
-    for base in (node.address("view"), node.address("metrics").removesuffix("metrics")):
-        until(lambda base=base: node.get(f"{base}readyz") == (200, "ready\n"), "ready")
+    view, metrics = node.address("view"), node.address("metrics").removesuffix("metrics")
+    until(lambda: node.get(f"{view}readyz") == (200, "ready\n"), "ready")
+    status, reason = until(lambda: node.get(f"{metrics}readyz"), "an answer")
+    assert (status, reason.split(" for ")[0]) == (503, "no frame"), "this one is told to be impatient"
+    for base in (view, metrics):
         assert node.get(f"{base}healthz") == (200, "alive\n")
-        status, metrics = node.get(f"{base}metrics")
+        status, text = node.get(f"{base}metrics")
         assert status == 200
-        assert 'chachart_state{state="running"} 1.0' in metrics
-        assert "chachart_latency_seconds_bucket" in metrics
-        assert "chachart_ues 60.0" in metrics
+        assert 'chachart_state{state="running"} 1.0' in text
+        assert "chachart_latency_seconds_bucket" in text
+        assert "chachart_ues 60.0" in text
 
 
 def test_prometheus_finds_nothing_to_complain_about(node: LiveNode) -> None:
