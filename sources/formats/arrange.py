@@ -141,4 +141,6 @@ def times_ns(values: NDArray[Any]) -> NDArray[np.int64]:
 def _complex(pairs: NDArray[Any]) -> NDArray[Any]:
     if pairs.shape[-1] != 2 or pairs.dtype.kind not in "fiu":
         raise ValueError(f"axis iq must hold 2 real numbers, not {pairs.shape[-1]} of {pairs.dtype}")
-    return pairs[..., 0] + 1j * pairs[..., 1]
+    whole = np.empty(pairs.shape[:-1], np.complex128)
+    whole.real, whole.imag = pairs[..., 0], pairs[..., 1]
+    return whole

@@ -115,4 +115,6 @@ def _complex(array: NDArray[Any]) -> NDArray[Any]:
     if not _is_complex(array.dtype):
         return array
     real, imaginary = sorted(array.dtype.names or (), reverse=True)
-    return np.asarray(array[real] + 1j * array[imaginary])
+    whole = np.empty(array.shape, np.complex64 if array[real].dtype.itemsize <= 4 else np.complex128)
+    whole.real, whole.imag = array[real], array[imaginary]
+    return whole

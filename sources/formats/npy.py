@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -18,7 +19,8 @@ _READERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
 }
-_DAMAGE = (ValueError, EOFError, OSError)
+DAMAGE = (ValueError, EOFError, OSError, SyntaxError, TokenError)
+"""What numpy raises for bytes that are no array."""
 
 
 def why_not(head: bytes) -> str | None:
@@ -37,7 +39,7 @@ def open_capture(path: Path) -> Capture:
     try:
         with path.open("rb") as file:
             variable = read_header(file, path.stat().st_size)
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise SetupError(f"{path} is damaged or cut short: {error}") from None
     return NpyCapture(path, {"array": variable})
 
@@ -68,6 +70,6 @@ class NpyCapture(Capture):
         try:
             with self.path.open("rb") as file:
                 array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
-        except _DAMAGE as error:
+        except DAMAGE as error:
             raise self.damaged(error) from None
         return array

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from chachart.node.errors import SetupError
 from chachart.sources.formats.base import Capture, Variable
-from chachart.sources.formats.npy import read_header
+from chachart.sources.formats.npy import DAMAGE, read_header
 
 NAME = "NumPy .npz"
 
-_DAMAGE = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, NotImplementedError)
+_DAMAGE = (*DAMAGE, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, KeyError)
 
 
 def why_not(head: bytes) -> str | None:
@@ -63,5 +63,5 @@ def _describe(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> Variable:
     with archive.open(member) as stream:
         try:
             return read_header(cast(BinaryIO, stream), member.file_size)
-        except ValueError as error:
+        except DAMAGE as error:
             raise ValueError(f"{member.filename}: {error}") from None

@@ -96,14 +96,24 @@ def test_crc32c_of_known_strings(data: bytes, crc: int) -> None:
     assert crc32c(data) == crc
 
 
-@given(st.binary(min_size=1, max_size=3000), st.data())
-def test_crc32c_is_that_of_the_definition_and_sees_every_flip(data: bytes, draw: st.DataObject) -> None:
+def bit_by_bit(data: bytes) -> int:
     crc = 0xFFFFFFFF
     for byte in data:
         crc ^= byte
         for _ in range(8):
             crc = crc >> 1 ^ (0x82F63B78 if crc & 1 else 0)
-    assert crc32c(data) == crc ^ 0xFFFFFFFF
+    return crc ^ 0xFFFFFFFF
+
+
+@pytest.mark.parametrize("length", [0, 1, 2047, 2048, 2049, 2176, 4096, 4097, 20_000])
+def test_crc32c_of_any_length_is_that_of_the_definition(length: int) -> None:
+    data = np.random.default_rng(length).bytes(length)
+    assert crc32c(data) == bit_by_bit(data)
+
+
+@given(st.binary(min_size=1, max_size=300), st.integers(1, 12), st.data())
+def test_crc32c_sees_every_flip(data: bytes, times: int, draw: st.DataObject) -> None:
+    data *= times
     flipped = bytearray(data)
     flipped[draw.draw(st.integers(0, len(data) - 1))] ^= draw.draw(st.integers(1, 255))
     assert crc32c(bytes(flipped)) != crc32c(data)
