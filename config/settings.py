@@ -142,6 +142,8 @@ class EstimatorSettings(Settings):
     """LR fits log(rho) instead of rho."""
     isq_reference: tuple[float, float] | None = None
     """(distance in m, sum of amplitudes there) puts ISQ to scale; else known positions do, else nothing."""
+    phase: Literal["auto", "steady", "random"] = "auto"
+    """Of a UE's channel from frame to frame, for `joint`: `steady` averages frames, `random` their powers."""
     forget_after_s: float | None = Field(None, gt=0)
     """UEs unseen for so long leave the chart; not set: never."""
     max_ues: int = Field(100_000, ge=1)

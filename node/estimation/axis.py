@@ -144,8 +144,7 @@ class SpectralAxis:
             r = forward_backward(c) if self.options.forward_backward else c
             factor = self._factor(r, None, np.array([frames * self.snapshots]))
             c = self._lags.of_products(factor, factor.conj())
-        ends = self.manifold.coordinate(np.array([self.manifold.low, self.manifold.high]))
-        grid = np.linspace(ends.min(), ends.max(), points)
+        grid = self.manifold.points(points)
         power = derivatives(np.repeat(c.T, points, axis=1), self.manifold.u(grid))[0]
         if self.method == "music":
             power = self.manifold.size - power

@@ -12,7 +12,8 @@ from chachart.node.chart import ChartUpdate, Method
 from chachart.node.counters import Counters
 from chachart.node.csi import CsiBlock
 from chachart.node.estimation.covariance import Bank, Grouping
-from chachart.node.estimation.options import Options
+from chachart.node.estimation.joint import JointLocator
+from chachart.node.estimation.options import JOINT, Options
 from chachart.node.estimation.separate import Located, Locator, SeparateLocator
 from chachart.node.estimation.slots import SlotTable
 from chachart.node.geometry import ArrayGeometry
@@ -151,7 +152,8 @@ class ChartEstimator:
         return found | dict(zip(names, self._latest.rows[slot].tolist(), strict=True))
 
     def _make_locator(self) -> Locator:
-        locator = SeparateLocator(self.array, self.options)
+        make: type[Locator] = JointLocator if self.options.theta == JOINT else SeparateLocator
+        locator = make(self.array, self.options)
         locator.resize(self._table.capacity)
         return locator
 

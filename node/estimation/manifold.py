@@ -62,9 +62,16 @@ class UniformManifold:
 
     def coordinates(self, step: float) -> Floats:
         """Every `step` of the coordinate within the range."""
-        ends = self.coordinate(np.array([self.low, self.high]))
-        low, high = float(ends.min()), float(ends.max())
+        low, high = self._ends()
         return np.append(np.arange(low, high - 1e-9 * step, step), high)
+
+    def points(self, count: int) -> Floats:
+        """`count` equidistant coordinates, from one end of the range to the other."""
+        return np.linspace(*self._ends(), count)
+
+    def _ends(self) -> tuple[float, float]:
+        ends = self.coordinate(np.array([self.low, self.high]))
+        return float(ends.min()), float(ends.max())
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from typing import Final, Literal
 
 SPECTRAL: Final = ("bartlett", "mvdr", "minnorm", "music")
 AMPLITUDE: Final = ("isq", "lr")
+JOINT: Final = "joint"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,7 +20,8 @@ class Options:
     theta
         "bartlett", "mvdr", "minnorm" or "music" on the angle manifold.
     rho
-        One of these on the delay manifold, or "isq" or "lr" from the amplitude.
+        One of these on the delay manifold, or "isq" or "lr" from the amplitude; theta = rho = "joint" looks
+        for the direct path on both manifolds at once.
     averaging, memory_frames
         "mean" weighs all frames of a UE alike; "exponential" forgets, so that `memory_frames` frames
         effectively count.
@@ -42,6 +44,8 @@ class Options:
         LR is fitted to the first so many UEs whose position is known; to log(rho) instead of rho.
     isq_reference
         (distance in m, sum of amplitudes there) puts ISQ to scale; else known positions do, else nothing.
+    phase
+        Of a UE's channel from frame to frame, for the joint method: "steady", "random" or found out ("auto").
     forget_after_s, max_ues
         UEs unseen for so long are forgotten; at most so many are kept, the longest unseen makes room.
 
@@ -67,13 +71,18 @@ class Options:
     lr_train_ues: int = 256
     lr_log_range: bool = False
     isq_reference: tuple[float, float] | None = None
+    phase: str = "auto"
     forget_after_s: float | None = None
     max_ues: int = 100_000
 
     def __post_init__(self) -> None:
-        self._one_of("theta", SPECTRAL)
-        self._one_of("rho", SPECTRAL + AMPLITUDE)
+        self._one_of("theta", (*SPECTRAL, JOINT))
+        self._one_of("rho", (*SPECTRAL, JOINT, *AMPLITUDE))
+        if (self.theta == JOINT) != (self.rho == JOINT):
+            name, other = ("rho", "theta") if self.theta == JOINT else ("theta", "rho")
+            raise ValueError(f"{name} must be 'joint' as {other} is, not {getattr(self, name)!r}")
         self._one_of("averaging", ("mean", "exponential"))
+        self._one_of("phase", ("auto", "steady", "random"))
         self._one_of("amplitude", ("debiased", "coherent", "noisy"))
         order = self.signal_order
         if order not in ("threshold", "mdl") and not (isinstance(order, int) and order >= 1):

@@ -34,6 +34,9 @@ class Located:
 class Locator(Protocol):
     """What `ChartEstimator` asks of an estimator of both coordinates: state by slot, estimates by block."""
 
+    def __init__(self, array: ArrayGeometry, options: Options) -> None:
+        """An estimator for an array; ValueError if a method does not fit it."""
+
     def resize(self, capacity: int) -> None:
         """Have state for `capacity` slots."""
 

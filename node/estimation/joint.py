@@ -1,0 +1,183 @@
+"""theta and rho together: the direct path in the angle-delay spectrum of each UE's frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from chachart.node.estimation.covariance import Grouping, Weights
+from chachart.node.estimation.direct_path import DirectPath
+from chachart.node.estimation.options import Options
+from chachart.node.estimation.periodogram import CoherentSums, Csi, PowerSums, SpectrumState, energy
+from chachart.node.estimation.separate import Located
+from chachart.node.estimation.slots import Slots
+from chachart.node.geometry import ArrayGeometry
+
+Floats = NDArray[np.float64]
+
+ELEMENTS_LIMIT = 1 << 16
+"""N_R N_S up to which the method is offered: its spectra take 16 bytes an element and UE."""
+LEAST_SIZE = 4
+"""Antennas, and subcarriers, below which paths cannot be told apart on their axis."""
+
+
+class JointLocator:
+    """The joint angle-delay method: `DirectPath` on averaged spectra.
+
+    Averages the frames themselves while they keep their phase, which finds weak paths best, and their power
+    spectra when they do not (see `PhaseWatch`). The change, once and for all UEs, takes over what has been
+    averaged so far.
+
+    Parameters
+    ----------
+    array, options
+        As of `ChartEstimator`.
+
+    Raises
+    ------
+    ValueError
+        If the array is too small or too large; the message begins with the argument's name.
+    """
+
+    def __init__(self, array: ArrayGeometry, options: Options) -> None:
+        for name, size in (("theta", array.antennas), ("rho", array.subcarriers)):
+            if size < LEAST_SIZE:
+                raise ValueError(
+                    f"{name} = 'joint' needs at least {LEAST_SIZE} elements on its axis, not {size}"
+                )
+        elements = array.antennas * array.subcarriers
+        if elements > ELEMENTS_LIMIT:
+            raise ValueError(
+                f"theta = 'joint' keeps 16 bytes an antenna, subcarrier and UE: "
+                f"for up to {ELEMENTS_LIMIT} of them, not {elements}"
+            )
+        self._direct_path = DirectPath(array, options.rho_max_m)
+        self._decay = options.decay
+        self._weights = Weights(options.decay)
+        periodogram = self._direct_path.periodogram
+        self._state: SpectrumState
+        if options.phase == "random":
+            self._state = PowerSums(periodogram, options.decay)
+        else:
+            self._state = CoherentSums(periodogram, self._weights, options.decay)
+        self._watch = PhaseWatch() if options.phase == "auto" else None
+        self._capacity = 0
+
+    @property
+    def coherent(self) -> bool:
+        """Whether frames are averaged rather than their power spectra."""
+        return isinstance(self._state, CoherentSums)
+
+    def resize(self, capacity: int) -> None:
+        """Have state for `capacity` slots."""
+        self._capacity = capacity
+        self._weights.resize(capacity)
+        self._state.resize(capacity)
+
+    def clear(self, slots: Slots) -> None:
+        """Start `slots` afresh."""
+        self._weights.clear(slots)
+        self._state.clear(slots)
+
+    def features(self, csi: Csi) -> list[NDArray[Any]]:
+        """The frames (K, N_R, N_S), or their power spectra."""
+        return [self._state.features(csi)]
+
+    def energy(self, features: list[NDArray[Any]]) -> NDArray[Any]:
+        """Sum of |h|^2 of each frame (K,)."""
+        return self._state.energy(features[0])
+
+    def estimate(
+        self, group: Grouping, features: list[NDArray[Any]], position: NDArray[np.float32]
+    ) -> Located:
+        """Take a block's frames and locate its UEs; `position` is of no use here."""
+        _, frames = self._weights.add(group)
+        self._state.add(group, features[0])
+        if self._watch is not None and isinstance(self._state, CoherentSums):
+            self._watch.take(group, features[0], self._state.bank.rows[group.slots], self._decay)
+            if not self._watch.steady:
+                self._average_power(self._state)
+        chunk = self._direct_path.periodogram.chunk
+        columns = [self._locate(group.slots[i : i + chunk]) for i in range(0, len(group), chunk)]
+        theta, rho, theta_std, rho_std, snr = np.concatenate(columns, axis=1)
+        return Located(theta, rho, theta_std, rho_std, snr, frames)
+
+    def spectrum(self, slot: int, points: int) -> dict[str, Any] | None:
+        """theta_grid_rad, theta_spectrum, rho_grid_m, rho_spectrum: the maxima along the other axis."""
+        slots = np.array([slot])
+        if self._weights.of(slots)[1][0] == 0:
+            return None
+        angle, delay = self._direct_path.angle, self._direct_path.delay
+        theta, rho = angle.points(points), delay.points(points)
+        power = self._direct_path.periodogram.sampled(
+            self._state.spectra(slots)[0][0], angle.u(theta), -delay.u(rho)
+        )
+        power /= power.max()
+        return {
+            "theta_grid_rad": theta,
+            "theta_spectrum": power.max(axis=1),
+            "rho_grid_m": rho,
+            "rho_spectrum": power.max(axis=0),
+        }
+
+    def _locate(self, slots: Slots) -> Floats:
+        """theta, rho, theta_std, rho_std and SNR (5, U); echoes count as noise, as they do on one axis."""
+        power, looks, gain = self._state.spectra(slots)
+        at = self._direct_path.find(power, looks)
+        snr = 10 * np.log10(at.power / (at.rest + (gain - 1) * at.noise))
+        return np.stack([at.theta, at.rho, at.theta_std, at.rho_std, snr])
+
+    def _average_power(self, coherent: CoherentSums) -> None:
+        state = PowerSums(self._direct_path.periodogram, self._decay)
+        state.resize(self._capacity)
+        known = self._weights.of(np.arange(self._capacity))[0] > 0
+        state.take_over(np.flatnonzero(known), coherent)
+        self._state = state
+
+
+class PhaseWatch:
+    """Do frames keep the phase of those that they are averaged with?
+
+    Oscillators that start anew with every frame turn its phase at random, and so does a UE that moves by a
+    wavelength between frames, the phases of its echoes even against one another. The mean over frames then
+    shrinks. Watched is, over all UEs, the cosine of arg(z), z = <sum of the UE's other frames, frame>, where
+    |z| is too large to be noise: z of independent noise has the mean square |a|^2 |b|^2 / N.
+    """
+
+    FRAMES = 16
+    """Looked at in each block, at most."""
+    SIGNIFICANCE = 9.0
+    """|z|^2 over its mean square for noise: then arg(z) is good to 0.25 rad, its cosine to 3 %."""
+    MEMORY = 256.0
+    """Significant frames remembered; a quarter of it is what the belief in steadiness weighs at first."""
+    STEADY = 0.9
+    """Least mean cosine: the loss of signal is then below 1 dB."""
+
+    def __init__(self) -> None:
+        self._cosines = self._count = self.MEMORY / 4
+        self._blocks = 0
+
+    @property
+    def steady(self) -> bool:
+        """Whether frames do keep their phase."""
+        return self._cosines >= self.STEADY * self._count
+
+    def take(self, group: Grouping, csi: Csi, sums: Csi, decay: float) -> None:
+        """Look at some of a block's frames (K, N_R, N_S); `sums` (U, N_R, N_S) already hold them."""
+        step = -(-len(csi) // self.FRAMES)
+        every = slice(self._blocks % step, None, step)
+        self._blocks += 1
+        ue = np.repeat(np.arange(len(group)), group.counts)[every]
+        follow = (group.starts + group.counts)[ue] - 1 - np.arange(len(csi))[every]
+        frames = csi[group.order[every]].reshape(len(ue), -1)
+        others = sums[ue].reshape(len(ue), -1)
+        others -= np.power(decay, follow).astype(np.float32)[:, None] * frames
+        z = np.einsum("ki,ki->k", others.conj(), frames)
+        size = np.abs(z).astype(np.float64)
+        noise = energy(others) * energy(frames) / frames.shape[1]
+        sure = size**2 > self.SIGNIFICANCE * noise
+        keep = np.exp(-int(sure.sum()) / self.MEMORY)
+        self._cosines = keep * self._cosines + float((z.real[sure] / size[sure]).sum())
+        self._count = keep * self._count + int(sure.sum())
