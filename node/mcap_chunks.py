@@ -27,9 +27,9 @@ MAX_CHUNK_BYTES = 512 * 1024 * 1024
 MAX_SUMMARY_BYTES = 256 * 1024 * 1024
 MAX_METADATA_BYTES = 16 * 1024 * 1024
 
-_RECORD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQLL")
-_MESSAGE = struct.Struct("<HLQQ")
+RECORD = struct.Struct("<BQ")
+CHUNK = struct.Struct("<QQQLL")
+MESSAGE = struct.Struct("<HLQQ")
 _FOOTER = struct.Struct("<BQQQL")
 _CHUNK_INDEX = struct.Struct("<QQQQL")
 _METADATA_INDEX = struct.Struct("<QQ")
@@ -109,20 +109,20 @@ def read_messages(file: BinaryIO, chunk: ChunkSpan) -> Iterator[Message]:
         raise DamagedChunk("chunk_cut")
     for opcode, record in _records(_chunk_records(content)):
         if opcode == Opcode.MESSAGE:
-            if len(record) < _MESSAGE.size:
+            if len(record) < MESSAGE.size:
                 raise DamagedChunk("chunk_layout")
-            _, _, log_ns, publish_ns = _MESSAGE.unpack_from(record)
-            yield Message(log_ns, publish_ns, record[_MESSAGE.size :])
+            _, _, log_ns, publish_ns = MESSAGE.unpack_from(record)
+            yield Message(log_ns, publish_ns, record[MESSAGE.size :])
 
 
 def _records(content: memoryview) -> Iterator[tuple[int, memoryview]]:
     """Opcode and content of each record."""
     position = 0
     while position < len(content):
-        if len(content) - position < _RECORD.size:
+        if len(content) - position < RECORD.size:
             raise DamagedChunk("chunk_layout")
-        opcode, length = _RECORD.unpack_from(content, position)
-        position += _RECORD.size
+        opcode, length = RECORD.unpack_from(content, position)
+        position += RECORD.size
         if length > len(content) - position:
             raise DamagedChunk("chunk_layout")
         yield opcode, content[position : position + length]
@@ -130,10 +130,10 @@ def _records(content: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 
 def _chunk_records(content: memoryview) -> memoryview:
-    if len(content) < _CHUNK.size + 8:
+    if len(content) < CHUNK.size + 8:
         raise DamagedChunk("chunk_layout")
-    _, _, _, crc, compression = _CHUNK.unpack_from(content)
-    start = _CHUNK.size + compression + 8
+    _, _, _, crc, compression = CHUNK.unpack_from(content)
+    start = CHUNK.size + compression + 8
     if compression or int.from_bytes(content[start - 8 : start], "little") != len(content) - start:
         raise DamagedChunk("chunk_layout")
     if crc and zlib.crc32(content[start:]) != crc:
@@ -149,7 +149,7 @@ def _from_summary(path: Path, file: BinaryIO, size: int) -> FileIndex | None:
     file.seek(size - tail)
     footer = file.read(tail)
     opcode, length, start, _, crc = _FOOTER.unpack_from(footer)
-    if footer[_FOOTER.size :] != MAGIC or opcode != Opcode.FOOTER or length != _FOOTER.size - _RECORD.size:
+    if footer[_FOOTER.size :] != MAGIC or opcode != Opcode.FOOTER or length != _FOOTER.size - RECORD.size:
         return None
     if not 0 < start <= size - tail or size - tail - start > MAX_SUMMARY_BYTES:
         return None
@@ -164,16 +164,16 @@ def _from_summary(path: Path, file: BinaryIO, size: int) -> FileIndex | None:
                 start_ns, end_ns, offset, length, channels = _CHUNK_INDEX.unpack_from(record)
                 text = io.BytesIO(record[_CHUNK_INDEX.size + channels + 8 :])
                 _check_compression(path, ReadDataStream(text).read_prefixed_string())
-                chunk = ChunkSpan(offset + _RECORD.size, length - _RECORD.size, start_ns, end_ns)
+                chunk = ChunkSpan(offset + RECORD.size, length - RECORD.size, start_ns, end_ns)
                 if not (0 <= chunk.length <= MAX_CHUNK_BYTES and chunk.offset + chunk.length <= size):
                     return None
                 index.chunks.append(chunk)
             elif opcode == Opcode.METADATA_INDEX:
                 offset, length = _METADATA_INDEX.unpack_from(record)
-                if not (_RECORD.size <= length <= MAX_METADATA_BYTES and offset + length <= size):
+                if not (RECORD.size <= length <= MAX_METADATA_BYTES and offset + length <= size):
                     return None
-                file.seek(offset + _RECORD.size)
-                _add_metadata(index, file.read(length - _RECORD.size))
+                file.seek(offset + RECORD.size)
+                _add_metadata(index, file.read(length - RECORD.size))
     except _UNREADABLE:
         return None
     return index
@@ -183,16 +183,16 @@ def _walk(path: Path, file: BinaryIO, size: int) -> FileIndex:
     """The index of a file that was never closed: every record that is whole."""
     index = FileIndex(closed=False)
     position = len(MAGIC)
-    while size - position >= _RECORD.size:
+    while size - position >= RECORD.size:
         file.seek(position)
-        opcode, length = _RECORD.unpack(file.read(_RECORD.size))
-        content = position + _RECORD.size
+        opcode, length = RECORD.unpack(file.read(RECORD.size))
+        content = position + RECORD.size
         if opcode == 0 or length > min(size - content, MAX_CHUNK_BYTES):
             break
         if opcode == Opcode.MESSAGE:
             raise SetupError(f"{path} is an MCAP file without chunks; write it with chunks, uncompressed")
-        if opcode == Opcode.CHUNK and length >= _CHUNK.size:
-            start_ns, end_ns, _, _, compression = _CHUNK.unpack(file.read(_CHUNK.size))
+        if opcode == Opcode.CHUNK and length >= CHUNK.size:
+            start_ns, end_ns, _, _, compression = CHUNK.unpack(file.read(CHUNK.size))
             if compression:
                 _check_compression(path, file.read(min(compression, 16)).decode(errors="replace"))
             index.chunks.append(ChunkSpan(content, length, start_ns, end_ns))

@@ -23,13 +23,13 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from mcap.writer import CompressionType, Writer
 
 from chachart.node.counters import Counters
 from chachart.node.csi import CsiBlock
 from chachart.node.errors import SetupError
 from chachart.node.geometry import ArrayGeometry
 from chachart.node.mcap_chunks import ChunkSpan, DamagedChunk, FileIndex, read_index, read_messages
+from chachart.node.mcap_writer import McapWriter, OutgoingMessage
 from chachart.node.recording_totals import Account, Totals
 from chachart.node.wire import WireError, decode_csi_map, encode_csi_map
 
@@ -110,14 +110,10 @@ class RecordingWriter:
             raise SetupError(f"{path} exists already; recordings are never overwritten") from None
         except OSError as error:
             raise SetupError(f"cannot write {path}: {error.strerror}") from None
-        self._writer = Writer(self._file, chunk_size=chunk_bytes, compression=CompressionType.NONE)
         try:
-            self._writer.start(profile="chachart")
+            self._writer = McapWriter(self._file, "csi", "msgpack", "chachart.csi", _SCHEMA)
             head = {"format": FORMAT, "array": json.dumps(array.as_dict()), "note": json.dumps(note or {})}
             self._writer.add_metadata(_HEAD, head)
-            schema = self._writer.register_schema("chachart.csi", "text/plain", _SCHEMA)
-            self._channel = self._writer.register_channel("csi", "msgpack", schema)
-            self._file.flush()
         except BaseException:
             self._file.close()
             raise
@@ -151,14 +147,21 @@ class RecordingWriter:
             If the disk takes no more.
         """
         blocks, self._gathered, self._gathered_bytes = self._gathered, [], 0
+        messages: list[OutgoingMessage] = []
+        size = 0
         for block in _joined(blocks):
             step = max(1, min(MESSAGE_FRAMES, MESSAGE_BYTES // block.csi[0].nbytes))
             for start in range(0, len(block), step):
                 piece = block.cut(start, start + step)
                 first, last = self._account.add(piece)
                 # MCAP's times are unsigned; the frames keep their own.
-                self._writer.add_message(self._channel, max(first, 0), encode_csi_map(piece), max(last, 0))
-        self._writer.flush()
+                messages.append(OutgoingMessage(max(first, 0), max(last, 0), encode_csi_map(piece)))
+                size += piece.csi.nbytes
+                if size >= self._chunk_bytes:
+                    self._writer.add_chunk(messages)
+                    messages, size = [], 0
+        if messages:
+            self._writer.add_chunk(messages)
 
     @property
     def frames(self) -> int:
@@ -168,7 +171,7 @@ class RecordingWriter:
     @property
     def bytes_written(self) -> int:
         """Size of the file so far; the chunk in progress does not count yet."""
-        return self._file.tell()
+        return self._writer.bytes_written
 
     def close(self) -> None:
         """Write the totals and the index, and close the file. May be called twice."""

@@ -39,9 +39,16 @@ def encode_csi(block: CsiBlock) -> list[bytes | memoryview]:
     return [msgpack.packb(_csi_header(block)), _csi_bytes(block)]
 
 
-def encode_csi_map(block: CsiBlock) -> bytes:
-    """A block as one self-contained msgpack map: the header of `encode_csi` and the samples as `csi`."""
-    return bytes(msgpack.packb({**_csi_header(block), "csi": _csi_bytes(block)}))
+def encode_csi_map(block: CsiBlock) -> list[bytes | memoryview]:
+    """A block as one self-contained msgpack map: the header of `encode_csi` and the samples as `csi`, last.
+
+    In two parts that follow each other; the second is a view of the block's own memory.
+    """
+    header: bytes = msgpack.packb(_csi_header(block))
+    csi = _csi_bytes(block)
+    # A msgpack map of up to 15 entries begins with 0x80 + entries; 0xc6 is `bin` with 4 bytes of length.
+    head = bytes([header[0] + 1]) + header[1:] + msgpack.packb("csi") + b"\xc6" + len(csi).to_bytes(4, "big")
+    return [head, csi]
 
 
 def decode_csi(parts: Sequence[Buffer]) -> CsiBlock:

@@ -15,14 +15,16 @@ import pytest
 from csi_samples import START_NS, assert_same_frames, small_array, some_block
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from mcap.reader import make_reader
-from mcap.records import ChunkIndex
+from mcap.opcode import Opcode
+from mcap.reader import McapReader, NonSeekingReader, SeekingReader, make_reader
+from mcap.records import ChunkIndex, SummaryOffset
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from chachart.node.csi import CsiBlock
 from chachart.node.errors import SetupError
 from chachart.node.recording import RecordingReader, RecordingWriter
+from chachart.node.wire import decode_csi_map
 
 MS = 1_000_000
 one_folder = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -119,12 +121,45 @@ def test_short_blocks_become_one_message(tmp_path: Path) -> None:
     assert_same_frames(read, blocks)
 
 
-def test_mcap_tools_read_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("reader_class", [SeekingReader, NonSeekingReader])
+def test_mcap_tools_read_it(tmp_path: Path, reader_class: type[McapReader]) -> None:
+    blocks = run_of_blocks(10)
+    path = record(tmp_path / "a.mcap", blocks)
+    with path.open("rb") as file:
+        messages = list(reader_class(file, validate_crcs=True).iter_messages(topics="csi"))
+    assert [(m.log_time, m.publish_time) for _, _, m in messages] == [
+        (START_NS, START_NS + 24 * MS),
+        (START_NS + 25 * MS, START_NS + 49 * MS),
+    ]
+    assert_same_frames([decode_csi_map(m.data) for _, _, m in messages], blocks)
+    assert [m.sequence for _, _, m in messages] == [0, 1]
+    schema, channel, _ = messages[0]
+    assert schema is not None
+    assert (schema.name, channel.topic, channel.message_encoding) == ("chachart.csi", "csi", "msgpack")
+
+
+def test_mcap_tools_find_its_index(tmp_path: Path) -> None:
+    """Every offset in the file leads to the record that it promises."""
     path = record(tmp_path / "a.mcap", run_of_blocks(10))
+    content = path.read_bytes()
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
-        assert len(list(reader.iter_messages(topics="csi"))) == 2
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == summary.statistics.chunk_count == 2
+        assert summary.statistics.channel_message_counts == {1: 2}
+        for chunk in summary.chunk_indexes:
+            assert content[chunk.chunk_start_offset] == Opcode.CHUNK
+            assert content[chunk.message_index_offsets[1]] == Opcode.MESSAGE_INDEX
+            [seek] = reader.iter_messages(
+                starting_at=chunk.message_start_time, ending_at=chunk.message_end_time
+            )
+            assert seek[2].log_time == chunk.message_start_time
         assert {m.name for m in reader.iter_metadata()} == {"chachart.csi", "chachart.totals"}
+    offsets = [r for r in StreamReader(io.BytesIO(content)).records if isinstance(r, SummaryOffset)]
+    assert [content[o.group_start] for o in offsets] == [o.group_opcode for o in offsets]
+    assert [o.group_opcode for o in offsets] == [3, 4, 11, 8, 13]
 
 
 @one_folder
