@@ -32,7 +32,7 @@ def draw(path: Path, chart: ChartUpdate, array: ArrayGeometry, title: str) -> No
     if chart.position is not None:
         true_x, true_y = array.chart_of(chart.position)
     known = np.isfinite(true_x) & np.isfinite(true_y)
-    colours = _colours(true_x, true_y, known)
+    colours = position_colours(true_x, true_y, known)
     width, height = (np.ptp(np.percentile(np.append(v, 0.0), [0.5, 99.5])) for v in (chart.x, chart.y))
     aspect = float(np.clip(width / max(height, 1e-9), 0.5, 1.5))
     figure = Figure(figsize=(2 * 5.5 * aspect + 2, 6.5), layout="constrained")
@@ -55,7 +55,7 @@ def draw(path: Path, chart: ChartUpdate, array: ArrayGeometry, title: str) -> No
         raise SetupError(f"{path} cannot be written: {error}") from None
 
 
-def _colours(x: NDArray[Any], y: NDArray[Any], known: NDArray[np.bool_]) -> NDArray[np.float64]:
+def position_colours(x: NDArray[Any], y: NDArray[Any], known: NDArray[np.bool_]) -> NDArray[np.float64]:
     """RGB (K, 3): the hue goes along y, light and pale along x."""
     colours = np.full((len(x), 3), _UNKNOWN)
     if known.any():

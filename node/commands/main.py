@@ -20,6 +20,7 @@ COMMANDS = {
     "import": "turn a capture of another tool into a recording",
     "info": "show what a recording holds",
     "evaluate": "chart a recording and say how good the chart is",
+    "reproduce": "reproduce the published tables and figures, as one HTML report",
     "watch": "watch a node's chart in the terminal",
 }
 """Each command and what it does. Its module here, `<name>.py` or `<name>_.py` for a word that Python has
