@@ -12,6 +12,7 @@ from pydantic import Field
 
 from chachart.node.chart import ChartUpdate
 from chachart.node.endpoints import Endpoint, bind, bind_problems
+from chachart.node.errors import SetupError
 from chachart.node.geometry import ArrayGeometry
 from chachart.node.wire import chart_topic, encode_chart, encode_report
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
@@ -68,7 +69,11 @@ class Publisher(Sink):
         self._socket.sndhwm = self.settings.queue_messages
         self._socket.maxmsgsize = MAX_SUBSCRIPTION_BYTES
         self._socket.linger = LINGER_MS
-        self._endpoint = bind(self._socket, self.settings.endpoint)
+        try:
+            self._endpoint = bind(self._socket, self.settings.endpoint)
+        except SetupError:
+            self.close()
+            raise
 
     def on_chart(self, update: ChartUpdate) -> None:
         """Publish the update, a long one as several messages."""

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from chachart.node.csi import CsiBlock
 from chachart.node.endpoints import Endpoint, bind, bind_problems
+from chachart.node.errors import SetupError
 from chachart.node.geometry import ArrayGeometry
 from chachart.node.wire import WireError, decode_csi
 from chachart.sources.base import Source, SourceSettings
@@ -75,7 +76,11 @@ class ZmqSource(Source):
         self._socket = self._context.socket(zmq.PULL)
         self._socket.rcvhwm = self.settings.queue_blocks
         self._socket.maxmsgsize = self.settings.max_message_bytes
-        self._endpoint = bind(self._socket, self.settings.endpoint)
+        try:
+            self._endpoint = bind(self._socket, self.settings.endpoint)
+        except SetupError:
+            self.close()
+            raise
 
     def recv(self, timeout: float) -> CsiBlock | None:
         """The next good block, or as one the short ones that wait; bad ones on the way are counted."""

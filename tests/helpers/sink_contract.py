@@ -122,4 +122,3 @@ class SinkContract:
         assert case.cls.problems(sink.settings)
         with pytest.raises(SetupError):
             sink.open(None if sink.wants_csi else StillNode())
-        sink.close()

@@ -146,4 +146,3 @@ class SourceContract:
             assert case.cls.problems(second.settings)
             with pytest.raises(SetupError):
                 second.open()
-            second.close()
