@@ -15,11 +15,11 @@ COMMANDS = {
     "calibrate": "find an array's calibration, and swapped cables, from a recording",
     "config": "print a commented sample configuration",
     "ctl": "ask and steer a running node",
-    "frontend": "be an array front-end on a serial line or a CAN bus, with faults on request",
+    "evaluate": "chart a recording and say how good the chart is",
     "export": "turn a recording into a file for other tools",
+    "frontend": "be an array front-end on a serial line or a CAN bus, with faults on request",
     "import": "turn a capture of another tool into a recording",
     "info": "show what a recording holds",
-    "evaluate": "chart a recording and say how good the chart is",
     "reproduce": "reproduce the published tables and figures, as one HTML report",
     "watch": "watch a node's chart in the terminal",
 }
