@@ -40,6 +40,7 @@ HTML = "text/html; charset=utf-8"
 Query = Mapping[str, str]
 T = TypeVar("T")
 
+log = logging.getLogger(__name__)
 _connections = logging.getLogger(f"{__name__}.connections")
 _connections.setLevel(logging.WARNING)
 _POLICY = "; ".join(
@@ -237,6 +238,8 @@ class WebServer:
         finally:
             self._bound.set()
         beside = None if self._beside is None else asyncio.create_task(self._beside())
+        if beside is not None:
+            beside.add_done_callback(_complain)
         await self._stopping.wait()
         if beside is not None:
             beside.cancel()
@@ -288,6 +291,11 @@ class WebServer:
                 return Answer(self._door, HTML, status, challenge)
             return replace(Answer.text(status, reason), headers=challenge)
         return Answer.text(status, reason)
+
+
+def _complain(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and (error := task.exception()) is not None:
+        log.error("the web server's own work failed: %s", error, exc_info=error)
 
 
 def _remember(token: str, path: str, query: Query) -> Answer:
