@@ -109,8 +109,9 @@ class _Signals:
 
 def _run(plan: Plan, options: argparse.Namespace) -> int:
     console = Console()
-    live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
-    if live is not None and options.log_format == "text":
+    live = None
+    if console.is_terminal and options.log_format == "text":
+        live = Live(console=console, auto_refresh=False, transient=True)
         logs.set_up("text", options.log_level, RichHandler(console=console, show_path=False))
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     node = Node(plan, logging.getLevelNamesMapping()[options.log_level])

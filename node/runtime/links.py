@@ -12,6 +12,9 @@ import zmq
 
 from chachart.node.runtime import messages
 
+AT_ONCE = 256
+"""Results taken before anything else gets its turn."""
+
 
 class Links:
     """Results from the feeder, commands to it.
@@ -36,11 +39,11 @@ class Links:
         self._lock = threading.Lock()
 
     def receive(self, timeout: float) -> list[list[bytes]]:
-        """All results that are there, after waiting at most `timeout` seconds for the first."""
+        """The results that are there, after waiting at most `timeout` seconds for the first."""
         received: list[list[bytes]] = []
         if self._results.poll(int(timeout * 1e3)):
             try:
-                while True:
+                while len(received) < AT_ONCE:
                     received.append(self._results.recv_multipart(zmq.NOBLOCK))
             except zmq.Again:
                 pass

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import pty
+import select
 import signal
 import socket
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -136,6 +140,40 @@ def test_anybody_can_subscribe_even_while_a_worker_is_killed(run_node: RunNode, 
     assert summary["worker_restarts"] == 1
     assert adds_up(summary)
     assert set(summary["dropped"]) <= {"worker_lost", "queue_full"}
+
+
+def test_ctrl_c_in_a_terminal(run_node: RunNode, tmp_path: Path) -> None:
+    """A live panel while it runs, one Ctrl-C for the whole foreground group, a drain, the summary."""
+    terminal, tty = pty.openpty()
+    config, shown = tmp_path / "live.toml", bytearray()
+    config.write_text(LIVE)
+    script = f'exec "$0" -m chachart.node.commands.node --config "$1" 0<>"{os.ttyname(tty)}" >&0 2>&0'
+    process = subprocess.Popen(
+        ["sh", "-c", script, sys.executable, str(config)],
+        start_new_session=True,  # so that the terminal becomes its own, and Ctrl-C its signal
+        env={**os.environ, "TERM": "xterm", "COLUMNS": "120", "TMPDIR": str(tmp_path)},
+    )
+
+    def appears(text: bytes) -> bool:
+        while select.select([terminal], [], [], 0)[0]:
+            try:
+                shown.extend(os.read(terminal, 65536))
+            except OSError:  # the last one to have it open is gone
+                break
+        return text in shown
+
+    try:
+        until(lambda: appears(b"running"), "the panel shows that it runs")
+        os.write(terminal, b"\x03")
+        until(lambda: appears(b"frames in ") and process.poll() is not None, "it drains and ends")
+    finally:
+        process.kill()
+        process.wait()
+        os.close(terminal)
+        os.close(tty)
+    assert process.returncode == 0
+    assert b"Traceback" not in shown
+    assert b"died" not in shown
 
 
 def test_duration_ends_it(run_node: RunNode) -> None:
