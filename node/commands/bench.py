@@ -17,6 +17,7 @@ BENCHMARKS = {
     "kernels": "each estimator, and each pair of estimators, beside a textbook implementation",
     "pipeline": "a whole node: frames a second, latency, processor time, memory",
     "quality": "trustworthiness and continuity, exact and sampled, beside scikit-learn",
+    "frontends": "packet decoders, and whole serial and CAN links, with damage and without",
     "flow": "recordings, the wire and the sinks by themselves",
     "scale": "more UEs, antennas and subcarriers: time a frame and memory",
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator
@@ -129,6 +130,10 @@ class CanSource(Source):
             "messages": self._messages,
             **self._intake.details(),
         }
+
+    def simulated(self) -> dict[str, int]:
+        """What the simulated front-end says has become of its frames; nothing where there is none."""
+        return {} if self._loopback is None else asdict(self._loopback.report)
 
     def _connect(self) -> None:
         from chachart.sources.frontend.isotp_link import IsoTpReceiver

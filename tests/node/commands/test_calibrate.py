@@ -9,12 +9,16 @@ from chachart.config.settings import ArraySettings
 from chachart.node.calibration import Calibration
 from chachart.node.commands.main import main
 from chachart.node.csi import CsiBlock
+from chachart.node.errors import SetupError
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.recording import RecordingReader, RecordingWriter
+from chachart.node.runtime.plan import resolve_array
+from chachart.node.runtime.processor import BlockProcessor, FrameClock
 from chachart.sources.base import EndOfSource
+from chachart.sources.recording import Recording, RecordingSettings
 from chachart.sources.simulator import Simulator, SimulatorSettings
 
-ARRAY = ArraySettings(antennas=32, subcarriers=8, subcarrier_spacing_hz=1.25e6).geometry()
+ARRAY = ArraySettings(antennas=32, subcarriers=8, subcarrier_spacing_hz=312_500.0).geometry()
 UES = 60
 REFERENCE = 0
 
@@ -46,7 +50,7 @@ def faulty(clean: CsiBlock, swaps, seed: int = 1) -> CsiBlock:
         order[[i, j]] = order[[j, i]]
     antenna = np.exp(1j * np.radians(30) * rng.standard_normal(ARRAY.antennas))
     antenna *= 10 ** (rng.standard_normal(ARRAY.antennas) / 20)
-    delay = np.exp(-2j * np.pi * ARRAY.subcarrier_spacing_hz * np.arange(ARRAY.subcarriers) * 40e-9)
+    delay = np.exp(-2j * np.pi * ARRAY.subcarrier_spacing_hz * np.arange(ARRAY.subcarriers) * 160e-9)
     measured = np.empty_like(clean.csi)
     measured[:, order] = clean.csi * antenna[:, None] * delay
     return replace(clean, csi=measured)
@@ -130,11 +134,51 @@ def test_check_says_which_cable_was_swapped_since(tmp_path, capsys, clean):
     assert "no antenna stands out" in capsys.readouterr().out
 
 
-def test_a_recording_carries_its_calibration(tmp_path, clean):
+def test_a_recording_carries_its_calibration(tmp_path, capsys, clean):
     calibration = Calibration.order_only(tuple(range(31, -1, -1)), 8)
     with RecordingWriter(tmp_path / "a.mcap", replace(ARRAY, calibration=calibration)) as writer:
         writer.write(clean)
     assert RecordingReader(tmp_path / "a.mcap").array.calibration == calibration
+    assert main(["info", str(tmp_path / "a.mcap")]) == 0
+    assert "32 antennas on others' inputs" in capsys.readouterr().out
+
+
+def figures(path, tmp_path, *arguments) -> dict:
+    assert main(["evaluate", path, "--json", str(tmp_path / "figures.json"), *arguments]) == 0
+    return json.loads((tmp_path / "figures.json").read_text())
+
+
+def test_evaluate_and_the_node_undo_it(tmp_path, clean):
+    block = faulty(clean, [(3, 17), (7, 8)])
+    path = recorded(tmp_path / "capture.mcap", block)
+    calibrated(tmp_path / "capture.mcap", "--ue", str(REFERENCE))
+    as_it_is = figures(path, tmp_path)["error_m"]
+    undone = figures(path, tmp_path, "--calibration", str(tmp_path / "capture.toml"))["error_m"]
+    best = figures(recorded(tmp_path / "clean.mcap", clean), tmp_path)["error_m"]
+    assert undone < 1.2 * best < as_it_is
+    table = {"antennas": 32, "subcarriers": 8, "subcarrier_spacing_hz": 312_500.0}
+    settings = ArraySettings(**table, calibration=tmp_path / "capture.toml")
+    source = RecordingSettings(path=path)
+    array = resolve_array(settings, Recording, source)
+    theta, _ = ARRAY.theta_rho(block.position[:UES])
+    chart = BlockProcessor(array, {"averaging": "mean"}, FrameClock(live=False)).process(block).update
+    assert np.sqrt(np.mean((chart.theta - theta) ** 2)) < 1.2 * errors(clean, None)[0]
+
+
+def test_a_calibration_in_the_configuration_goes_before_the_recordings_own(tmp_path, clean):
+    own = Calibration.order_only(tuple(range(31, -1, -1)), 8)
+    with RecordingWriter(tmp_path / "a.mcap", replace(ARRAY, calibration=own)) as writer:
+        writer.write(clean)
+    source = RecordingSettings(path=tmp_path / "a.mcap")
+    table = {"antennas": 32, "subcarriers": 8, "subcarrier_spacing_hz": 312_500.0}
+    assert resolve_array(ArraySettings(**table), Recording, source).calibration == own
+    order = (1, 0, *range(2, 32))
+    told = resolve_array(ArraySettings(**table, antenna_order=order), Recording, source)
+    assert told.calibration == Calibration.order_only(order, 8)
+    with pytest.raises(SetupError, match=r"\[array\]: antenna_order must hold each of 0 to 1 once"):
+        resolve_array(ArraySettings(**table, antenna_order=(1, 1)), Recording, source)
+    with pytest.raises(SetupError, match=r"\[array\]: the calibration is of 2 antennas"):
+        resolve_array(ArraySettings(**table, antenna_order=(1, 0)), Recording, source)
 
 
 @pytest.mark.parametrize(

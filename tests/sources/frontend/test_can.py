@@ -17,6 +17,7 @@ from chachart.node.errors import SetupError
 from chachart.sources.frontend.address import FrontEndAddress
 from chachart.sources.frontend.can import CanSettings, CanSource
 from chachart.sources.frontend.can_link import CanLink, segments
+from chachart.sources.frontend.device import Report
 from chachart.sources.frontend.isotp_link import IsoTpReceiver
 from chachart.sources.frontend.packet import CsiPacket, SampleFormat, encode, max_packet_bytes
 
@@ -87,7 +88,7 @@ def test_damaged_and_dropped_frames_are_counted_exactly_and_cost_no_other(fd, fr
     faults = {"corrupt": 0.01, "drop": 0.01, "fault_seed": 3}
     with CanSource(virtual(fd=fd, loopback={"scenario": scenario(frames), **faults}), ARRAY) as source:
         got = CsiBlock.concatenate(listen(source, frames))
-        told = source._loopback.report
+        told = Report(**source.simulated())
     assert told.corrupted > 0
     assert told.dropped > 0
     assert told.unheard == 0

@@ -1,0 +1,25 @@
+import json
+
+import pytest
+
+from chachart.config.settings import ArraySettings
+from chachart.node.commands.benchmarks import frontends
+
+ARRAY = ArraySettings(antennas=4, subcarriers=4).geometry()
+
+
+def test_every_decoder_is_timed():
+    table = frontends.decoders(ARRAY)
+    assert len(table.rows) == 7
+    assert all(row[2] > 0 and row[3] > 0 for row in table.rows)
+    assert json.dumps(table.as_dict())
+
+
+@pytest.mark.parametrize("link", [frontends.over_serial, frontends.over_virtual])
+def test_a_link_is_timed_and_accounted_for(link):
+    whole = link(ARRAY, 300, ())
+    assert (whole.arrived, whole.lost) == (300, 0)
+    assert whole.seconds > 0
+    hit = link(ARRAY, 300, ("--corrupt", "0.05", "--drop", "0.05"))
+    assert hit.arrived == hit.told["sent"]
+    assert hit.lost == hit.told["corrupted"] + hit.told["dropped"] == 300 - hit.arrived > 0
