@@ -12,11 +12,13 @@ import argparse
 import json
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
+from chachart.config.calibration import load_calibration
 from chachart.config.load import NodeSettings, settings_of
 from chachart.config.settings import EstimatorSettings, RhoMethod, ThetaMethod
 from chachart.node.chart import ChartUpdate
@@ -25,6 +27,7 @@ from chachart.node.csi import CsiBlock
 from chachart.node.errors import SetupError
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.quality import assess
+from chachart.node.geometry import ArrayGeometry
 from chachart.node.recording import RecordingReader
 
 BATCH_FRAMES = 1024
@@ -46,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SECTION.KEY=VALUE",
         help="change a setting of [estimator] or [quality], as for chachart-node",
     )
+    parser.add_argument("--calibration", type=Path, metavar="FILE", help="instead of the recording's own")
     parser.add_argument("--chart", type=Path, metavar="FILE.png", help="draw truth and chart side by side")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
 
@@ -63,8 +67,9 @@ def run(arguments: argparse.Namespace) -> int:
             check_writable(path, force=True)
     settings = _settings(arguments)
     reader = RecordingReader(arguments.recording)
+    array = _array(reader, arguments.calibration)
     try:
-        estimator = ChartEstimator(reader.array, **settings.estimator.model_dump())
+        estimator = ChartEstimator(array, **settings.estimator.model_dump())
     except ValueError as error:
         raise SetupError(f"[estimator] {error}") from None
     started = time.perf_counter()
@@ -99,6 +104,15 @@ def run(arguments: argparse.Namespace) -> int:
 
         draw(arguments.chart, chart, reader.array, f"{arguments.recording.name}, {method}")
     return 0
+
+
+def _array(reader: RecordingReader, calibration: Path | None) -> ArrayGeometry:
+    if calibration is None:
+        return reader.array
+    try:
+        return replace(reader.array, calibration=load_calibration(calibration))
+    except ValueError as error:
+        raise SetupError(f"--calibration: {error}") from None
 
 
 def _settings(arguments: argparse.Namespace) -> NodeSettings:

@@ -12,6 +12,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from chachart.node.recording import RecordingReader, RecordingSummary
 
 
@@ -79,6 +81,11 @@ def lines(summary: RecordingSummary) -> Iterator[tuple[str, str]]:
         f"{array.subcarriers}, {array.subcarrier_spacing_hz / 1e3:g} kHz apart "
         f"(ranges unambiguous to {array.unambiguous_rho_m:.1f} m)",
     )
+    if array.calibration is not None:
+        moved = sum(n != m for n, m in enumerate(array.calibration.antenna_order))
+        turned = np.angle(np.exp(1j * np.array(array.calibration.antenna_phase_rad)))
+        phase = np.degrees(np.sqrt(np.mean(turned**2)))
+        yield "calibration", f"antenna phases {phase:.1f} degrees rms, {moved} antennas on others' inputs"
     for name, value in summary.note.items():
         yield name.replace("_", " "), value if isinstance(value, str) else json.dumps(value)
 

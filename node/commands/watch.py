@@ -32,6 +32,7 @@ from chachart.node.commands.canvas import characters, fit, scatter
 KEEP_S = 60.0
 REFRESH_S = 0.1
 LINE_S = 1.0
+EXTREMES = 5
 WINDOW_S = 2.0
 """Rates are over so long."""
 
@@ -94,7 +95,8 @@ class Watch:
         self.followed = followed
         self.keep_ns = int(keep_s * 1e9)
         self.chart: ChartUpdate | None = None
-        self._arrivals: deque[tuple[float, int]] = deque()
+        self.others: set[str] = set()
+        self._arrivals: deque[tuple[float, NDArray[np.uint64]]] = deque()
         self._began = time.monotonic()
 
     def receive(self, seconds: float) -> None:
@@ -103,9 +105,13 @@ class Watch:
         updates = [] if self.chart is None else [self.chart]
         while (left := deadline - time.monotonic()) > 0:
             update = self.charts.recv(left)
-            if update is not None:
-                updates.append(update)
-                self._arrivals.append((time.monotonic(), len(update)))
+            if update is None:
+                continue
+            if updates and update.array != updates[0].array:
+                self.others.add(update.array)
+                continue
+            updates.append(update)
+            self._arrivals.append((time.monotonic(), update.ue))
         if updates:
             self.chart = ChartUpdate.concatenate(updates)
             kept = self.chart.time_ns > self.chart.time_ns.max() - self.keep_ns
@@ -118,24 +124,48 @@ class Watch:
         if self.chart is None:
             return f"waiting for a chart from {self.charts.endpoint}"
         chart = self.chart
-        window = min(WINDOW_S, time.monotonic() - self._began)
-        rate = sum(count for _, count in self._arrivals) / window
+        rate = sum(len(ues) for _, ues in self._arrivals) / self._window_s()
         words = [f"{chart.array}: {len(chart)} UEs", f"{rate:.0f} estimates/s" if rate else "silent"]
         words.append(f"{chart.method.theta}/{chart.method.rho}")
         quality = self.charts.quality or {}
         words += [f"{name.upper()} {quality[name]:.4f}" for name in ("tw", "ct") if quality.get(name)]
-        if self.charts.lost:
-            words.append(f"{self.charts.lost} messages lost")
+        dropped = sum((self.charts.status or {}).get("dropped", {}).values())
+        words += [f"{dropped} frames dropped by the node"] * bool(dropped)
+        words += [f"{self.charts.lost} messages lost here"] * bool(self.charts.lost)
+        words += [f"--array shows {name}" for name in sorted(self.others)]
         if (row := self._followed_row()) is not None:
             words.append(f"UE {self.followed}: theta {np.degrees(chart.theta[row]):.2f} deg")
             words.append(f"rho {chart.rho[row]:.1f} m, x {chart.x[row]:.1f} m, y {chart.y[row]:.1f} m")
             words.append(f"SNR {chart.snr[row]:.1f} dB")
         return ", ".join(words)
 
+    def extremes(self) -> str:
+        """The UEs with most estimates a second, and those whose place is least sure, as one line."""
+        if self.chart is None:
+            return ""
+        words = []
+        if self._arrivals:
+            ues, counts = np.unique(np.concatenate([ues for _, ues in self._arrivals]), return_counts=True)
+            most = np.argsort(-counts, kind="stable")[:EXTREMES]
+            shown = (f"{ues[n]} ({counts[n] / self._window_s():.1f}/s)" for n in most)
+            words.append(f"busiest: {', '.join(shown)}")
+        spread = np.hypot(self.chart.rho * self.chart.theta_std, self.chart.rho_std)
+        if np.isfinite(spread).any():
+            worst = np.argsort(-np.nan_to_num(spread), kind="stable")[:EXTREMES]
+            shown = (f"{self.chart.ue[n]} (+-{spread[n]:.1f} m)" for n in worst)
+        else:
+            worst = np.argsort(np.nan_to_num(self.chart.snr, nan=np.inf), kind="stable")[:EXTREMES]
+            shown = (f"{self.chart.ue[n]} ({self.chart.snr[n]:.1f} dB)" for n in worst)
+        return "   ".join([*words, f"worst: {', '.join(shown)}"])
+
+    def _window_s(self) -> float:
+        return max(1e-3, min(WINDOW_S, time.monotonic() - self._began))
+
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         yield Text(self.line(), style="bold", no_wrap=True, overflow="ellipsis")
         if self.chart is not None:
-            yield from self._plot(options.max_width, (options.height or console.height) - 3)
+            yield Text(self.extremes(), style="dim", no_wrap=True, overflow="ellipsis")
+            yield from self._plot(options.max_width, (options.height or console.height) - 4)
 
     def _plot(self, columns: int, rows: int) -> RenderResult:
         chart = self.chart

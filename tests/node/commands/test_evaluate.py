@@ -1,15 +1,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from chachart.config.calibration import save_calibration
 from chachart.config.settings import ArraySettings
+from chachart.node.calibration import Calibration
 from chachart.node.commands.main import main
 from chachart.node.csi import CsiBlock
-from chachart.node.recording import RecordingWriter
+from chachart.node.recording import RecordingReader, RecordingWriter
 from chachart.sources.base import EndOfSource
 from chachart.sources.simulator import Simulator, SimulatorSettings
 
@@ -61,9 +64,32 @@ def test_methods_and_settings(recording: Path, tmp_path: Path, capsys: pytest.Ca
     assert json.loads(report.read_text())["k"] == 7
 
 
+def test_a_calibration_undoes_what_the_array_did(recording: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    order = rng.permutation(16)
+    calibration = Calibration(
+        tuple(order.tolist()), (1.0,) * 16, tuple(rng.uniform(-3, 3, 16)), (1.0,) * 16, (0.0,) * 16
+    )
+    save_calibration(tmp_path / "cal.toml", calibration, "made up")
+    response = np.exp(1j * np.array(calibration.antenna_phase_rad))
+    reader = RecordingReader(recording)
+    with RecordingWriter(tmp_path / "spoilt.mcap", reader.array) as writer:
+        for block in reader.blocks():
+            csi = np.empty_like(block.csi)
+            csi[:, order] = block.csi * response[:, None].astype(np.complex64)
+            writer.write(replace(block, csi=csi))
+    tw = {}
+    for name, options in (("without", []), ("with", ["--calibration", str(tmp_path / "cal.toml")])):
+        report = tmp_path / f"{name}.json"
+        assert main(["evaluate", str(tmp_path / "spoilt.mcap"), "--json", str(report), *options]) == 0
+        tw[name] = json.loads(report.read_text())["tw"]
+    assert tw["with"] > 0.99 > 0.95 > tw["without"]
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
+        (["--calibration", "nowhere.toml"], "--calibration: calibration nowhere.toml cannot be read"),
         (["--theta", "music", "--rho", "joint"], 'must be "joint" as rho is'),
         (["--set", "estimator.teta=music"], 'did you mean "theta"?'),
         (["--set", "estimator.signal_order=99", "estimator.theta=music"], "[estimator] signal_order"),

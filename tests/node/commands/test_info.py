@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from chachart.config.settings import ArraySettings
+from chachart.node.calibration import Calibration
 from chachart.node.commands.main import main
 from chachart.node.csi import CsiBlock
 from chachart.node.recording import RecordingWriter
@@ -39,6 +41,17 @@ def test_what_a_recording_holds(recording: Path, capsys: pytest.CaptureFixture[s
         "x.npz",
     ):
         assert words in said
+
+
+def test_a_calibration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ones, phases = (1.0,) * 4, (0.1, -0.1, 0.1, 2 * np.pi - 0.1)
+    calibration = Calibration((0, 2, 1, 3), ones, phases, (1.0,) * 8, (0.0,) * 8)
+    array = replace(ArraySettings(antennas=4, subcarriers=8).geometry(), calibration=calibration)
+    RecordingWriter(tmp_path / "a.mcap", array).close()
+    assert main(["info", str(tmp_path / "a.mcap")]) == 0
+    said = capsys.readouterr().out
+    assert "antenna phases 5.7 degrees rms, 2 antennas on others' inputs" in said
+    assert "0 of 0 UEs" in said
 
 
 def test_as_json(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -73,8 +73,8 @@ def test_json(endpoint: str) -> None:
 
 def test_a_picture_in_a_terminal(endpoint: str) -> None:
     near, far = pty.openpty()
-    command = [*CHACHART, "watch", endpoint, "--ue", "3", "--duration", "0.8"]
-    environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24"}
+    command = [*CHACHART, "watch", endpoint, "--ue", "3", "--duration", "1.5"]
+    environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "160", "LINES": "24"}
     with subprocess.Popen(command, stdout=far, stderr=far, env=environment) as process:
         os.close(far)
         seen = b""
@@ -89,6 +89,8 @@ def test_a_picture_in_a_terminal(endpoint: str) -> None:
     assert "lab: 500 UEs" in text
     assert any(0x2800 < ord(c) < 0x2900 for c in text), "braille dots"
     assert "array at x = y = 0" in text
+    assert "busiest: " in text
+    assert "worst: 0 (0.0 dB), 1 (0.1 dB)" in text
 
 
 def test_nobody_publishes(tmp_path: Path) -> None:
