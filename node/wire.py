@@ -239,7 +239,9 @@ def _samples(header: Mapping[str, Any], raw: Buffer, shape: list[int]) -> NDArra
             f"shape {shape} of {dtype} takes {expected} bytes (at most {MAX_CSI_BYTES}), not {size}"[:200],
         )
     if dtype == "<c8":
-        return np.frombuffer(raw, "<c8").reshape(shape).astype(np.complex64, copy=False)
+        samples = np.frombuffer(raw, "<c8").reshape(shape).astype(np.complex64, copy=False)
+        # Short ZeroMQ messages may lie anywhere in memory; numpy is slow on samples that are not aligned.
+        return np.require(samples, requirements="A")
     scale = header.get("scale")
     if not isinstance(scale, int | float) or isinstance(scale, bool) or not 1e-30 <= scale <= 1e30:
         raise WireError("scale", f"scale must be a number from 1e-30 to 1e30, not {scale!r}"[:200])

@@ -121,6 +121,17 @@ def test_complex_samples_are_not_copied() -> None:
     assert np.shares_memory(decode_csi([header, csi]).csi, block.csi)
 
 
+def test_samples_at_an_odd_address_are_aligned() -> None:
+    block = some_block(4)
+    header, csi = encode_csi(block)
+    memory = bytearray(len(csi) + 8)
+    for start in range(8):
+        memory[start : start + len(csi)] = csi
+        decoded = decode_csi([header, memoryview(memory)[start : start + len(csi)]])
+        assert decoded.csi.flags.aligned
+        assert_same_frames(decoded, block)
+
+
 @given(
     npst.arrays(np.int16, st.tuples(*[st.integers(1, 4)] * 3, st.just(2))),
     st.floats(1e-6, 1e6),
