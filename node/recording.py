@@ -3,7 +3,7 @@
 The layout, for whoever reads such a file with another tool:
 
 - A Metadata record `chachart.csi` stands at the start, so that it survives a kill: `format` ("1"), `array`
-  (JSON, the fields of `ArrayGeometry`) and `note` (JSON, whatever the writer had to say: a calibration, say).
+  (JSON, the fields of `ArrayGeometry`, calibration included) and `note` (JSON, what the writer had to say).
 - Chunks of 256 KiB without compression; CSI is noise to a compressor. Each goes to the operating system when
   it is full: a writer that is killed loses its last chunk and nothing else.
 - One channel `csi`, one message a block of up to 64 frames: a msgpack map with the fields of a protocol 1 CSI

@@ -21,6 +21,7 @@ from mcap.records import ChunkIndex, SummaryOffset
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
+from chachart.node.calibration import Calibration
 from chachart.node.csi import CsiBlock
 from chachart.node.errors import SetupError
 from chachart.node.recording import RecordingReader, RecordingWriter
@@ -96,7 +97,13 @@ def test_what_is_written_is_read(tmp_path: Path, position: bool) -> None:
 
 def test_the_whole_geometry_survives(tmp_path: Path) -> None:
     array = small_array(
-        position_m=(1.0, 2.0, 3.0), axis=(1.0, 0.0, 0.0), broadside=(0.0, 1.0, 0.0), height_m=8.5
+        position_m=(1.0, 2.0, 3.0),
+        axis=(1.0, 0.0, 0.0),
+        broadside=(0.0, 1.0, 0.0),
+        height_m=8.5,
+        calibration=Calibration(
+            (1, 0, 2, 3), (1.0, 0.5, 2.0, 1.0), (0.0, -1.0, 0.5, 3.0), (1.0,) * 3, (0.1,) * 3
+        ),
     )
     RecordingWriter(tmp_path / "a.mcap", array).close()
     reader = RecordingReader(tmp_path / "a.mcap")
