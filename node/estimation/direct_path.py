@@ -35,6 +35,8 @@ ANGLE_SPREAD = 0.035
 """Least c_0, 2 degrees at broadside."""
 FALSE_ALARM_DEVIATE = 3.719
 """Standard normal deviate of the share of noise-only points above the level, 1e-4."""
+LEAST_PEAK = 0.01
+"""Nor is a direct path so much weaker than the strongest one looked for."""
 SIDE_LOBE_MARGIN = 3.0
 """A peak below so many times the strongest one's side lobes there is taken for one of them."""
 CROWDING = 30.0
@@ -95,6 +97,8 @@ class DirectPath:
         cells = np.arange(a * d).reshape(a, d)
         ring = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
         self._neighbours = np.stack([np.roll(cells, shift, axis=(0, 1)).ravel() for shift in ring])
+        self._border = np.ones((a, d), np.bool_)
+        self._border[1:-1, 1:-1] = False
         self._allowed = self._searched()
         m2, n2 = (size * size - 1 for size in self.periodogram.shape)
         middle_hz = array.carrier_hz + (array.subcarriers - 1) / 2 * array.subcarrier_spacing_hz
@@ -166,23 +170,30 @@ class DirectPath:
 
     def _peaks(self, power: Power, looks: Floats, floor: Floats) -> Index:
         """Flat indices, ascending, of maxima that noise would rarely reach; for each UE at least one."""
-        level = (floor * _gamma_quantile(looks, FALSE_ALARM_DEVIATE)).astype(np.float32)
-        found = power >= level[:, None, None]
-        found &= self._allowed
-        falls = power[:, :, 1:] < power[:, :, :-1]
-        found[:, :, :-1] &= falls
-        found[:, :, 1:] &= ~falls
-        at = np.flatnonzero(found)
-        cells = self._neighbours.shape[1]
+        k, cells = len(power), self._neighbours.shape[1]
         flat = power.reshape(-1)
-        cell = at % cells
-        around = flat[(at - cell) + self._neighbours[:, cell]]
-        at = at[(around <= flat[at]).all(axis=0)]
-        lost = np.flatnonzero(np.bincount(at // cells, minlength=len(power)) == 0)
+        level = np.maximum(
+            floor * _gamma_quantile(looks, FALSE_ALARM_DEVIATE),
+            LEAST_PEAK * power.reshape(k, cells).max(axis=1),
+        )
+        above = power >= level.astype(np.float32)[:, None, None]
+        above &= self._allowed
+        found = (above & ~self._border).reshape(-1)
+        d = power.shape[2]
+        for shift in (1, d - 1, d, d + 1):  # to the four neighbours ahead, and from them back
+            falls = flat[shift:] < flat[:-shift]
+            found[:-shift] &= falls
+            found[shift:] &= ~falls
+        # the border's neighbours are across the circles
+        edge = np.flatnonzero(above & self._border)
+        cell = edge % cells
+        around = flat[(edge - cell) + self._neighbours[:, cell]]
+        found[edge] = (around <= flat[edge]).all(axis=0)
+        lost = np.flatnonzero(~found.reshape(k, cells).any(axis=1))
         if len(lost):
             best = np.where(self._allowed, power[lost], 0).reshape(len(lost), cells).argmax(axis=1)
-            at = np.sort(np.concatenate([at, lost * cells + best]))
-        return at
+            found[lost * cells + best] = True
+        return np.flatnonzero(found)
 
     def _select(self, power: Power, peaks: Index, floor: Floats) -> Index:
         """The direct path's grid point (U,), flat within its spectrum, among the peaks of all spectra."""

@@ -146,8 +146,8 @@ class PhaseWatch:
     |z| is too large to be noise: z of independent noise has the mean square |a|^2 |b|^2 / N.
     """
 
-    FRAMES = 16
-    """Looked at in each block, at most."""
+    EVERY = 8
+    """Of a block, every so many frames are looked at."""
     SIGNIFICANCE = 9.0
     """|z|^2 over its mean square for noise: then arg(z) is good to 0.25 rad, its cosine to 3 %."""
     MEMORY = 256.0
@@ -166,8 +166,7 @@ class PhaseWatch:
 
     def take(self, group: Grouping, csi: Csi, sums: Csi, decay: float) -> None:
         """Look at some of a block's frames (K, N_R, N_S); `sums` (U, N_R, N_S) already hold them."""
-        step = -(-len(csi) // self.FRAMES)
-        every = slice(self._blocks % step, None, step)
+        every = slice(self._blocks % min(self.EVERY, len(csi)), None, self.EVERY)
         self._blocks += 1
         ue = np.repeat(np.arange(len(group)), group.counts)[every]
         follow = (group.starts + group.counts)[ue] - 1 - np.arange(len(csi))[every]

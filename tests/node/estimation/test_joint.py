@@ -90,7 +90,7 @@ def test_efficient_and_honest_on_one_path(
     los: Build, truth: Build, phase: bool, spacing: float, snr_db: float
 ) -> None:
     world = los(1500, seed=9, far=True, subcarrier_spacing_hz=spacing)
-    estimator = ChartEstimator(world.array, **JOINT, averaging="mean")
+    estimator = ChartEstimator(world.array, **JOINT, averaging="mean", phase="random" if phase else "steady")
     chart = world.chart(estimator, snr_db, 10, phase=phase)
     theta, rho = truth(world)
     snr = world.snr * 10 ** (snr_db / 10)
