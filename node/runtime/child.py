@@ -7,6 +7,7 @@ SIGINT and SIGTERM ignored) and obeys the main process; when stdin ends, that is
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
 import logging
@@ -20,6 +21,7 @@ from typing import Any
 
 log = logging.getLogger(__name__)
 
+NICENESS = 15
 ONE_THREAD = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS"), "1"
 )
@@ -75,6 +77,12 @@ class Child:
             return False
         return True
 
+    def yield_to_others(self) -> None:
+        """Run it at low priority from now on, even where the node was given real-time priority."""
+        with contextlib.suppress(ProcessLookupError):
+            os.sched_setscheduler(self.pid, os.SCHED_BATCH, os.sched_param(0))
+            os.setpriority(os.PRIO_PROCESS, self.pid, NICENESS)
+
     def kill(self) -> None:
         """End it now."""
         self._process.kill()
@@ -95,7 +103,7 @@ class Child:
             text = line.decode(errors="replace").rstrip()
             try:
                 level, logger, message = json.loads(text)
-            except ValueError:
+            except (ValueError, TypeError):
                 level, logger, message = logging.ERROR, __name__, text
             logging.getLogger(logger).log(level, "%s: %s", self.name, message)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from typing import Any
 
@@ -11,6 +12,8 @@ from chachart.node.geometry import ArrayGeometry
 from chachart.node.runtime.reader import Reader
 from chachart.node.runtime.sink_thread import SinkThread
 from chachart.sinks.base import Sink
+
+log = logging.getLogger(__name__)
 
 QUEUE_BLOCKS = 64
 STOP_WITHIN_S = 10.0
@@ -48,6 +51,7 @@ class CsiSinks:
         thread = SinkThread(cls(values, self._array), values.type, QUEUE_BLOCKS, self._lossless)
         thread.open(None)
         self._reader.sinks = (*self._reader.sinks, thread)
+        log.info("%s: %s", thread.name, thread.sink.where())
         return thread
 
     def record(self, arguments: dict[str, Any]) -> dict[str, Any]:

@@ -11,7 +11,8 @@ from chachart.node.chart import ChartUpdate
 from chachart.node.errors import SetupError
 from chachart.node.runtime import messages
 from chachart.node.runtime.charts import Charts
-from chachart.node.runtime.child import Child, class_path
+from chachart.node.runtime.child import Child
+from chachart.node.runtime.launch import Launcher
 from chachart.node.runtime.links import Links
 from chachart.node.runtime.plan import Plan
 from chachart.node.runtime.quality_watch import QualityWatch
@@ -47,18 +48,18 @@ class Node:
     def __init__(self, plan: Plan, log_level: int = logging.INFO) -> None:
         self.failure: str | None = None
         self._plan = plan
-        self._log_level = log_level
         self._links = Links()
+        self._launch = Launcher(plan, self._links, log_level)
         self._charts = Charts(plan.estimator)
         self._quality = QualityWatch(
             plan.quality,
             self.chart,
             lambda report: self._charts.report("quality", report),
-            self._start_quality,
+            self._launch.quality,
             self._links.endpoints["quality"],
         )
         self._pending = PendingRequests(lambda values: self._links.command(messages.REQUEST, values))
-        self._supervisor = Supervisor(plan.workers.count, self._start_worker, self._worker_died)
+        self._supervisor = Supervisor(plan.workers.count, self._launch.worker, self._worker_died)
         self._feeder: Child | None = None
         self._method: dict[str, str] = {"theta": plan.estimator.theta, "rho": plan.estimator.rho}
         self._state = "starting"
@@ -83,7 +84,7 @@ class Node:
             If something the plan asks for cannot be; everything is closed again then.
         """
         try:
-            self._feeder = self._start_feeder()
+            self._feeder = self._launch.feeder()
             self._supervisor.check()
             for sink_class, settings in self._plan.sinks:
                 if not sink_class.wants_csi:
@@ -91,7 +92,9 @@ class Node:
                     sink.open(self)
                     self._charts.sinks.append(sink)
             self._thread.start()
-            self._ready.wait(START_WITHIN_S)
+            if not self._ready.wait(START_WITHIN_S):
+                source = self._plan.source_settings.type
+                raise SetupError(f'source "{source}" did not open within {START_WITHIN_S:.0f} s')
             if self._setup_error is not None:
                 raise SetupError(self._setup_error)
             self._links.command(messages.GO, {})
@@ -296,45 +299,6 @@ class Node:
             self._thread.join()
         self._links.close()
         self.closed = True
-
-    def _start_feeder(self) -> Child:
-        plan = self._plan
-        settings = {
-            **self._common_settings(),
-            "sockets": self._links.endpoints,
-            "source": {
-                "class": class_path(plan.source),
-                "settings": plan.source_settings.model_dump(mode="json"),
-            },
-            "workers": {**plan.workers.model_dump(mode="json"), "block_frames": plan.block_frames},
-            "estimator": {"theta": plan.estimator.theta, "rho": plan.estimator.rho},
-            "csi_sinks": [
-                {"class": class_path(sink), "settings": settings.model_dump(mode="json")}
-                for sink, settings in plan.sinks
-                if sink.wants_csi
-            ],
-        }
-        return Child("feeder", "chachart.node.runtime.feeder", settings)
-
-    def _start_worker(self, shard: int) -> Child:
-        settings = {
-            **self._common_settings(),
-            "workers": self._links.endpoints["workers"],
-            "shard": shard,
-            "estimator": self._plan.worker_estimator(),
-        }
-        return Child(f"worker {shard}", "chachart.node.runtime.worker", settings)
-
-    def _start_quality(self) -> Child:
-        settings = {**self._common_settings(), "quality": self._links.endpoints["quality"]}
-        return Child("quality", "chachart.node.runtime.quality_watch", settings)
-
-    def _common_settings(self) -> dict[str, Any]:
-        return {
-            "log_level": self._log_level,
-            "directory": str(self._links.directory),
-            "array": self._plan.array.as_dict(),
-        }
 
     def _worker_died(self, shard: int, pid: int) -> None:
         self._links.command(messages.LOST, {"shard": shard, "pid": pid})

@@ -6,7 +6,6 @@ Not in a thread: one that holds the interpreter while it waits for its turn woul
 from __future__ import annotations
 
 import logging
-import os
 import threading
 import time
 from collections.abc import Callable
@@ -27,7 +26,6 @@ log = logging.getLogger(__name__)
 
 FEWEST_UES = 4
 """With fewer, no figure means anything."""
-NICENESS = 15
 MOST_OF_TIME = 0.25
 """Share of the time that may go into quality, however long one report takes."""
 REPORT_WITHIN_S = 60.0
@@ -146,7 +144,6 @@ class QualityWatch:
 def main() -> None:
     """Run as `python -m chachart.node.runtime.quality_watch`, settings on stdin."""
     settings = read_settings()
-    os.nice(NICENESS)
     array = ArrayGeometry.from_dict(settings["array"])
     with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
         socket.connect(settings["quality"])
