@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 MAX_BLOCK_FRAMES = 64
+MAX_MESSAGES = 64
+"""CAN messages taken at once: can-isotp handles several at half the price of one by one."""
 
 
 class CanSettings(CanBusSettings):
@@ -161,25 +163,25 @@ class CanSource(Source):
             )
 
     def _read(self, timeout: float) -> bool:
-        """Take one message, or try to open the bus again; whether a message came."""
+        """Take the messages that are there, or try to open the bus again; whether any came."""
         import can
 
         if self._bus is None or self._receiver is None:
             self._reconnect(timeout)
             return False
         try:
-            message = self._bus.recv(timeout)
-            if message is None:
-                return False
-            self._messages += 1
-            packets = self._receiver.feed(message)
+            messages = [message] if (message := self._bus.recv(timeout)) is not None else []
+            while messages and len(messages) < MAX_MESSAGES and (message := self._bus.recv(0.0)) is not None:
+                messages.append(message)
+            packets = self._receiver.feed(messages)
         except (can.CanError, OSError) as error:
             self._disconnected(error)
             return False
+        self._messages += len(messages)
         host_ns = time.time_ns()
         for name, packet in packets:
             self._intake.receive(name, packet, host_ns)
-        return True
+        return bool(messages)
 
     def _disconnected(self, why: Exception) -> None:
         where = f"{self.settings.interface}:{self.settings.channel}"

@@ -171,7 +171,7 @@ class CanLog(Source):
         assert self._receiver is not None
         if math.isfinite(message.timestamp) and 0 <= message.timestamp < 9e9:
             self._latest_s = message.timestamp
-        for name, packet in self._receiver.feed(message):
+        for name, packet in self._receiver.feed([message]):
             self._intake.receive(name, packet, round(self._latest_s * 1e9))
         try:
             self._next = next(self._messages, None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import re
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import isotp
@@ -71,57 +71,58 @@ class IsoTpReceiver:
         fd: bool,
     ) -> None:
         self._rejected = rejected
-        self._waiting: deque[isotp.CanMessage] = deque()
-        self._layers = {
-            address.id: (
-                address.name,
-                make_layer(
-                    self._next,
-                    send or _nowhere,
-                    address.reply_id,
-                    address.id,
-                    address.extended,
-                    self._count,
-                    max_frame_size=max_packet_bytes,
-                    can_fd=fd,
-                    listen_mode=send is None,
-                    rx_consecutive_frame_timeout=RX_TIMEOUT_MS,
-                ),
-            )
-            for address in addresses
-        }
+        self._ends = {a.id: _End(a, max_packet_bytes, self._count, send, fd) for a in addresses}
 
-    def feed(self, message: can.Message) -> list[tuple[str, bytearray]]:
-        """The packets that a CAN message completes, each with the name of its front-end."""
-        if message.is_error_frame or message.is_remote_frame:
-            self._rejected.add("can_error_frame" if message.is_error_frame else "can_remote_frame")
-            return []
-        entry = self._layers.get(message.arbitration_id)
-        if entry is None:
-            return []
-        name, layer = entry
-        self._waiting.append(
-            isotp.CanMessage(
-                arbitration_id=message.arbitration_id,
-                data=bytes(message.data),
-                extended_id=message.is_extended_id,
-                is_fd=message.is_fd,
-            )
-        )
-        layer.process()
-        self._waiting.clear()
-        packets = []
-        while (packet := layer.recv()) is not None:
-            packets.append((name, packet))
-        return packets
-
-    def _next(self, timeout: float) -> isotp.CanMessage | None:
-        return self._waiting.popleft() if self._waiting else None
+    def feed(self, messages: Iterable[can.Message]) -> list[tuple[str, bytearray]]:
+        """The packets that CAN messages complete, each with the name of its front-end."""
+        for message in messages:
+            if message.is_error_frame or message.is_remote_frame:
+                self._rejected.add("can_error_frame" if message.is_error_frame else "can_remote_frame")
+            elif (end := self._ends.get(message.arbitration_id)) is not None:
+                end.waiting.append(
+                    isotp.CanMessage(
+                        arbitration_id=message.arbitration_id,
+                        data=bytes(message.data),
+                        extended_id=message.is_extended_id,
+                        is_fd=message.is_fd,
+                    )
+                )
+        return [(end.name, packet) for end in self._ends.values() for packet in end.packets()]
 
     def _count(self, error: Exception) -> None:
         words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(error).__name__.removesuffix("Error"))
         self._rejected.add(f"isotp_{words.lower()}")
 
 
-def _nowhere(message: isotp.CanMessage) -> None:
-    """Where a listener's flow control goes."""
+class _End:
+    """The node's end of the line to one front-end."""
+
+    def __init__(
+        self,
+        address: FrontEndAddress,
+        max_packet_bytes: int,
+        on_error: Callable[[Exception], None],
+        send: Callable[[isotp.CanMessage], None] | None,
+        fd: bool,
+    ) -> None:
+        self.name = address.name
+        self.waiting: deque[isotp.CanMessage] = deque()
+        self.layer = make_layer(
+            lambda timeout: self.waiting.popleft() if self.waiting else None,
+            send or (lambda message: None),
+            address.reply_id,
+            address.id,
+            address.extended,
+            on_error,
+            max_frame_size=max_packet_bytes,
+            can_fd=fd,
+            listen_mode=send is None,
+            rx_consecutive_frame_timeout=RX_TIMEOUT_MS,
+        )
+
+    def packets(self) -> Iterator[bytearray]:
+        """The packets that the waiting messages complete."""
+        while self.waiting:
+            self.layer.process()
+        while (packet := self.layer.recv()) is not None:
+            yield packet

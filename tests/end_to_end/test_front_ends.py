@@ -40,6 +40,19 @@ def test_a_loopback_with_faults_says_what_was_lost(run_node: RunNode, tmp_path: 
     assert set(summary["rejected"]) <= {"cobs", "crc", "short"}
 
 
+def test_the_chart_goes_on_after_unplugging(run_node: RunNode, tmp_path: Path) -> None:
+    every = ("source.loopback.unplug_every_s=0.5", "source.loopback.unplugged_s=0.2")
+    whole = ("source.loopback.drop=0.0", "source.loopback.corrupt=0.0")
+    frames = "source.loopback.scenario.frames=3000"
+    summary = shipped(
+        run_node, "serial-loopback.toml", tmp_path, frames, *every, *whole, "source.retry_max_s=0.2"
+    )
+    assert summary["frames_in"] == summary["frames_estimated"]
+    assert summary["gaps"] > 0
+    assert summary["frames_in"] + summary["gaps"] <= 3000
+    assert summary["rejected"] == {}
+
+
 def test_a_port_that_is_not_there_ends_it_with_one_line(run_node: RunNode, tmp_path: Path) -> None:
     port = f"source.port={tmp_path}/nothing"
     node = run_node(

@@ -190,16 +190,12 @@ def test_any_messages_leave_the_receiver_ready_and_small(messages, silent):
     replies: list[object] = []
     send = None if silent else replies.append
     receiver = IsoTpReceiver((FrontEndAddress(),), limit, rejected, send, fd=True)
-    [(_, layer)] = receiver._layers.values()
-    for message in messages:
-        assert all(len(packet) <= limit for _, packet in receiver.feed(message))
-        assert len(layer.rx_buffer) <= limit
-        assert not receiver._waiting
+    [end] = receiver._ends.values()
+    for at_once in (messages[:9], *([m] for m in messages[9:])):
+        assert all(len(packet) <= limit for _, packet in receiver.feed(at_once))
+        assert len(end.layer.rx_buffer) <= limit
+        assert not end.waiting
     whole = [b"\x10\x0a123456", b"\x217890"]
-    packets = [
-        packet
-        for data in whole
-        for packet in receiver.feed(can.Message(arbitration_id=0x640, data=data, is_extended_id=False))
-    ]
+    packets = receiver.feed(can.Message(arbitration_id=0x640, data=d, is_extended_id=False) for d in whole)
     assert packets == [("0x640", b"1234567890")]
     assert len(replies) <= len(messages) + 1
