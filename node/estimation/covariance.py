@@ -51,6 +51,8 @@ class Grouping:
         self.slots = ordered[starts][appearance]
         self.counts = counts[appearance]
         self.starts = np.cumsum(self.counts) - self.counts
+        self._in_order = bool((self.order[1:] > self.order[:-1]).all())
+        self._even = bool((counts == counts[0]).all())
 
     def __len__(self) -> int:
         return len(self.slots)
@@ -65,11 +67,15 @@ class Grouping:
         """Sum of each UE's frames of `x` (K, ...), weighted decay**(frames of that UE that follow)."""
         if self.single:
             return x
-        x = x[self.order]
+        if decay != 1.0 or not self._in_order:
+            x = x[self.order]
         if decay != 1.0:
             follow = np.repeat(self.starts + self.counts, self.counts) - 1 - np.arange(len(x))
             weight = np.power(decay, follow).astype(x.real.dtype)
             x *= weight.reshape(-1, *[1] * (x.ndim - 1))
+        if self._even:  # several times faster than reduceat
+            total: NDArray[Any] = x.reshape(len(self), -1, *x.shape[1:]).sum(axis=1)
+            return total
         return np.add.reduceat(x, self.starts, axis=0)
 
     def fade(self, decay: float) -> Floats:
