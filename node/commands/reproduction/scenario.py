@@ -24,7 +24,9 @@ ANTENNAS = SUBCARRIERS = 32
 LIGHT_SPEED_M_S = 3e8
 """As the published scenario rounds it."""
 KNOWN_UES = 256
-"""So many UEs come with their position: the training set of LR, and a block of frames."""
+"""So many UEs come with their position, in the first block: the training set of LR."""
+BLOCK_UES = 64
+"""UEs of each further block: their frames and covariances stay in the processor's cache."""
 _NOISE_STREAM, _TRAINING_STREAM = 2, 3
 
 
@@ -59,7 +61,7 @@ class Scene:
         return np.stack(self.array.chart_of(self.position), axis=1)
 
     def blocks(self, *, random_training: bool = False) -> Iterator[CsiBlock]:
-        """All frames, `KNOWN_UES` UEs a block and a UE's frames together, so that each UE is estimated once.
+        """All frames, those of a UE together, so that each UE is estimated once.
 
         Only the first block's positions are known: those of the first UEs, or of UEs drawn at random.
         """
@@ -67,9 +69,10 @@ class Scene:
         if random_training:
             order = np.random.default_rng([self.seed, _TRAINING_STREAM]).permutation(order)
         frames = self.csi.shape[1]
-        for start in range(0, len(order), KNOWN_UES):
-            ues = order[start : start + KNOWN_UES]
-            csi = self.csi[ues] if random_training else self.csi[start : start + KNOWN_UES]
+        ends = [*range(KNOWN_UES, len(order), BLOCK_UES), len(order)]
+        for start, end in zip([0, *ends], ends, strict=False):
+            ues = order[start:end]
+            csi = self.csi[ues] if random_training else self.csi[start:end]
             position = self.position[ues] if start == 0 else np.full((len(ues), 3), np.nan)
             yield CsiBlock(
                 self.array.name,

@@ -25,8 +25,8 @@ def test_only_the_first_block_knows_positions_and_each_ue_is_in_one_block() -> N
     for random_training in (False, True):
         blocks = list(scene.blocks(random_training=random_training))
         known = [np.isfinite(block.position).all(axis=1) for block in blocks if block.position is not None]
-        assert [bool(k.all()) for k in known] == [True, False, False]
-        assert not known[1].any()
+        assert [bool(k.all()) for k in known] == [True] + [False] * 6
+        assert not np.concatenate(known[1:]).any()
         ues = [np.unique(block.ue) for block in blocks]
         assert len(ues[0]) == KNOWN_UES
         assert (np.sort(np.concatenate(ues)) == np.arange(600)).all()
