@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import select
 import time
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -36,7 +37,7 @@ class SerialSettings(SourceSettings):
     type: Literal["serial"] = "serial"
     """Which source."""
     port: str = Field("/dev/ttyUSB0", min_length=1)
-    """The port: a device, or a URL that pyserial understands (socket://, rfc2217://)."""
+    """The port: a device, or socket://HOST:PORT for a serial server."""
     baudrate: int = Field(921_600, ge=1)
     """Bits per second; a USB CDC device ignores it."""
     retry_max_s: float = Field(5.0, gt=0)
@@ -149,7 +150,10 @@ class SerialSource(Source):
     def _connect(self) -> None:
         import serial
 
-        self._serial = serial.serial_for_url(self._port, baudrate=self.settings.baudrate, timeout=0)
+        self._serial = serial.serial_for_url(
+            self._port, baudrate=self.settings.baudrate, timeout=0, exclusive=True
+        )
+        self._serial.fileno()  # raises where there is nothing to wait for
 
     def _read(self, timeout: float) -> None:
         """Wait for bytes, or for the next try to open the port; at most `timeout` seconds."""
@@ -159,8 +163,10 @@ class SerialSource(Source):
             self._reconnect(timeout)
             return
         try:
-            self._serial.timeout = timeout
-            data = self._serial.read(min(max(self._serial.in_waiting, 1), MAX_READ_BYTES))
+            # Changing pyserial's own timeout makes it set up the port again: wait here instead.
+            if not select.select([self._serial], [], [], timeout)[0]:
+                return
+            data = self._serial.read(MAX_READ_BYTES)
         except (serial.SerialException, OSError) as error:
             self._disconnected(str(error))
             return

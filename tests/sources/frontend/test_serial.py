@@ -1,4 +1,5 @@
 import os
+import socket
 import time
 
 import numpy as np
@@ -121,6 +122,29 @@ def test_a_port_that_is_not_there_is_said_so(tmp_path):
     assert "no such device" in problem
     with pytest.raises(SetupError, match=r"nothing.*cannot be opened"):
         SerialSource(settings, ARRAY).open()
+
+
+def test_a_port_in_use_is_said_so(tmp_path):
+    link = PtyLink(tmp_path / "port")
+    with listener(link.where), pytest.raises(SetupError, match=r"port.*cannot be opened.*lock"):
+        listener(link.where).open()
+    link.close()
+
+
+def test_a_serial_server_on_the_network_will_do():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        source = listener(f"socket://127.0.0.1:{server.getsockname()[1]}")
+        assert SerialSource.problems(source.settings) == []
+        with source:
+            connection, _ = server.accept()
+            with connection:
+                connection.sendall(b"".join(encode_frame(frame(n)) for n in range(20)))
+                assert sum(len(b) for b in receive(source, 20)) == 20
+
+
+def test_what_cannot_be_waited_for_is_refused():
+    with pytest.raises(SetupError, match="cannot be opened"):
+        listener("loop://").open()
 
 
 def test_a_device_that_is_gone_is_tried_less_and_less_often(tmp_path):
