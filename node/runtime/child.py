@@ -1,8 +1,9 @@
 """How the node's child processes start and end.
 
-A child is a plain `python -m` process, never forked: its settings come as one line of JSON on stdin, its log
-records go out as lines of JSON on stderr. It is out of reach of the terminal's signals (a group of its own,
-SIGINT and SIGTERM ignored) and obeys the main process; when stdin ends, that is dead and the child goes too.
+A child is a plain `python -P -m` process, never forked, and no file in the directory where the node was
+started takes the place of a library. Its settings come as one line of JSON on stdin, its log records go out
+as lines of JSON on stderr. It is out of reach of the terminal's signals (a group of its own, SIGINT and
+SIGTERM ignored) and obeys the main process; when stdin ends, that is dead and the child goes too.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class Child:
     def __init__(self, name: str, module: str, settings: dict[str, Any]) -> None:
         self.name = name
         self._process = subprocess.Popen(
-            [sys.executable, "-m", module],
+            [sys.executable, "-P", "-m", module],
             stdin=subprocess.PIPE,
             stderr=subprocess.PIPE,
             stdout=subprocess.DEVNULL,

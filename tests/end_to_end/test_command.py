@@ -127,9 +127,10 @@ def test_anybody_can_subscribe_even_while_a_worker_is_killed(run_node: RunNode, 
                     seen.update(message["ue"])
                     assert len(message["ue"]) == len(message["x"]) == len(message["theta"])
                 if message["type"] == "status" and len(seen) == 50 and killed is None:
-                    killed = message["workers"][0]["pid"]
-                    os.kill(killed, signal.SIGKILL)
-                    seen.clear()
+                    killed = message["workers"][0]["pid"]  # None until the first report that knows it
+                    if killed is not None:
+                        os.kill(killed, signal.SIGKILL)
+                        seen.clear()
             return killed is not None and len(seen) == 50 and kinds == {"chart", "status", "quality"}
 
         until(enough, "all UEs are published, again after a kill")

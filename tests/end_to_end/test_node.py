@@ -114,9 +114,8 @@ def test_kill_9_under_load_loses_nothing_of_a_recording(
 def test_what_a_drain_does_not_finish_in_time_is_counted(make_node: MakeNode) -> None:
     node = make_node(loops=0, block_frames=16)
     node.start()
-    until(lambda: node.status()["frames_estimated"], "frames are estimated")
-    [worker] = node.status()["workers"]
-    os.kill(worker["pid"], signal.SIGSTOP)
+    until(lambda: node.status()["workers"][0]["pid"] and node.status()["frames_estimated"], "it works")
+    os.kill(node.status()["workers"][0]["pid"], signal.SIGSTOP)
     until(lambda: node.status()["backlog_frames"], "frames wait")
     node.stop(0.2)
     assert node.wait(DEADLINE_S)
