@@ -94,10 +94,10 @@ def _section(header: str, model: type[BaseModel], type_name: str | None = None) 
 
 
 def _keys(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
-    """Fields by dotted key; those of a nested table one by one."""
+    """Fields by dotted key; those of a nested table one by one, unless something else may stand there."""
     for name, field in model.model_fields.items():
         nested = nested_model(field.annotation)
-        if nested is None:
+        if nested is None or len(alternatives(field.annotation)) > 1:
             yield prefix + name, field
         else:
             yield from _keys(nested, f"{prefix}{name}.")

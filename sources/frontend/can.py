@@ -44,7 +44,9 @@ class CanSettings(CanBusSettings):
     retry_max_s: float = Field(5.0, gt=0)
     """Longest wait between two tries to open a bus that has gone; the first is 0.1 s."""
     loopback: LoopbackSettings | bool = False
-    """Simulate the first front-end in this process, on the same bus (interface "virtual", say)."""
+    """true, or a table: simulate the first front-end in this process, on the same bus.
+    Its keys: `format` (int8, int16 or float32), `corrupt`, `drop`, `reorder` (fractions of the frames),
+    `unplug_every_s`, `unplugged_s`, `serial_number`, `fault_seed`, and `scenario`, a simulator's settings."""
 
     @field_validator("front_ends")
     @classmethod

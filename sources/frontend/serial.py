@@ -43,7 +43,9 @@ class SerialSettings(SourceSettings):
     retry_max_s: float = Field(5.0, gt=0)
     """Longest wait between two tries to open a port that has gone; the first is 0.1 s."""
     loopback: LoopbackSettings | bool = False
-    """Simulate a front-end in this process, on a pseudo-terminal instead of `port`."""
+    """true, or a table: simulate a front-end in this process, on a pseudo-terminal instead of `port`.
+    Its keys: `format` (int8, int16 or float32), `corrupt`, `drop`, `reorder` (fractions of the frames),
+    `unplug_every_s`, `unplugged_s`, `serial_number`, `fault_seed`, and `scenario`, a simulator's settings."""
 
 
 class SerialSource(Source):

@@ -23,7 +23,7 @@ def shipped(run_node: RunNode, name: str, tmp_path: Path, *changes: str) -> dict
     return node.summary()
 
 
-@pytest.mark.parametrize(("name", "frames"), [("serial-loopback.toml", 4000), ("can-loopback.toml", 300)])
+@pytest.mark.parametrize(("name", "frames"), [("serial-loopback.toml", 3000), ("can-loopback.toml", 150)])
 def test_a_loopback_loses_nothing(run_node: RunNode, tmp_path: Path, name: str, frames: int) -> None:
     whole = ("source.loopback.drop=0.0", "source.loopback.corrupt=0.0")
     summary = shipped(run_node, name, tmp_path, f"source.loopback.scenario.frames={frames}", *whole)
@@ -33,23 +33,23 @@ def test_a_loopback_loses_nothing(run_node: RunNode, tmp_path: Path, name: str, 
 
 def test_a_loopback_with_faults_says_what_was_lost(run_node: RunNode, tmp_path: Path) -> None:
     faults = ("source.loopback.drop=0.02", "source.loopback.corrupt=0.02")
-    frames = "source.loopback.scenario.frames=2000"
+    frames = "source.loopback.scenario.frames=1500"
     summary = shipped(run_node, "serial-loopback.toml", tmp_path, frames, *faults)
-    assert summary["frames_in"] == summary["frames_estimated"] < 2000
-    assert summary["frames_in"] + summary["gaps"] == pytest.approx(2000, abs=2)
+    assert summary["frames_in"] == summary["frames_estimated"] < 1500
+    assert summary["frames_in"] + summary["gaps"] == pytest.approx(1500, abs=2)
     assert set(summary["rejected"]) <= {"cobs", "crc", "short"}
 
 
 def test_the_chart_goes_on_after_unplugging(run_node: RunNode, tmp_path: Path) -> None:
     every = ("source.loopback.unplug_every_s=0.5", "source.loopback.unplugged_s=0.2")
     whole = ("source.loopback.drop=0.0", "source.loopback.corrupt=0.0")
-    frames = "source.loopback.scenario.frames=3000"
+    frames = "source.loopback.scenario.frames=2500"
     summary = shipped(
         run_node, "serial-loopback.toml", tmp_path, frames, *every, *whole, "source.retry_max_s=0.2"
     )
     assert summary["frames_in"] == summary["frames_estimated"]
     assert summary["gaps"] > 0
-    assert summary["frames_in"] + summary["gaps"] <= 3000
+    assert summary["frames_in"] + summary["gaps"] <= 2500
     assert summary["rejected"] == {}
 
 
