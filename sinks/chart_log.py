@@ -13,10 +13,12 @@ from mcap.writer import CompressionType, Writer
 from pydantic import Field
 
 from chachart.node.chart import ChartUpdate
+from chachart.node.chart_log import HEAD
 from chachart.node.errors import SetupError
 from chachart.node.geometry import ArrayGeometry
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
 from chachart.sinks.files import free_name, write_problems
+from chachart.sinks.foxglove import SCHEMA, point_cloud
 from chachart.sinks.plain import plain, rounded
 
 CHUNK_BYTES = 256 * 1024
@@ -60,6 +62,8 @@ class ChartLogSettings(SinkSettings):
     """The file; `{time}` becomes the UTC time, and a number is added where a name is taken."""
     encoding: Literal["json", "msgpack"] = "json"
     """How messages are written; MCAP tools show JSON, msgpack is shorter."""
+    foxglove: bool = False
+    """Charts also as point clouds, which the 3D panel of Foxglove draws; makes files two thirds longer."""
     every_s: float = Field(1.0, ge=0)
     """Charts are gathered for so long, a UE is written once with its newest place; 0 writes every update."""
     max_bytes: int = Field(256 * 1024**2, ge=1024**2)
@@ -67,7 +71,10 @@ class ChartLogSettings(SinkSettings):
 
 
 class ChartLog(Sink):
-    """One channel a topic: `chart.<array>`, `quality.<array>`, `status.<array>`; zstd chunks of 256 KiB."""
+    """One channel a topic: `chart.<array>`, `quality.<array>`, `status.<array>`; zstd chunks of 256 KiB.
+
+    With `foxglove`, each write of charts is also one JSON message on `/chart/<array>/points`.
+    """
 
     Settings: ClassVar[type[SinkSettings]] = ChartLogSettings
     settings: ChartLogSettings
@@ -137,6 +144,8 @@ class ChartLog(Sink):
         begin = time.monotonic()
         for part in update.parts(ROWS_PER_MESSAGE):
             self._write("chart", _chart(part))
+        if self.settings.foxglove:
+            self._write("points", point_cloud(update))
         if self.settings.every_s:
             took = time.monotonic() - begin
             self._write_at = begin + max(self.settings.every_s, took / LARGEST_SHARE)
@@ -147,7 +156,7 @@ class ChartLog(Sink):
         if self._file.tell() >= self.settings.max_bytes:
             self._end()
             self._begin()
-        text = self.settings.encoding == "json"
+        text = self._encoding(kind) == "json"
         data = json.dumps(values).encode() if text else msgpack.packb(values)
         now = time.time_ns()
         self._writer.add_message(self._channels[kind], now, data, now, self._written)
@@ -163,12 +172,18 @@ class ChartLog(Sink):
         self._written = 0
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="chachart")
-        self._writer.add_metadata("chachart.chart", {"array": json.dumps(self.array.as_dict())})
+        self._writer.add_metadata(HEAD, {"array": json.dumps(self.array.as_dict())})
         self._channels = {}
-        for kind, schema in _SCHEMAS.items():
+        kinds = {kind: (f"{kind}.{self.array.name}", schema) for kind, schema in _SCHEMAS.items()}
+        if self.settings.foxglove:
+            kinds["points"] = f"/chart/{self.array.name}/points", SCHEMA
+        for kind, (topic, schema) in kinds.items():
             number = self._writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode())
-            topic = f"{kind}.{self.array.name}"
-            self._channels[kind] = self._writer.register_channel(topic, self.settings.encoding, number)
+            self._channels[kind] = self._writer.register_channel(topic, self._encoding(kind), number)
+
+    def _encoding(self, kind: str) -> str:
+        """Foxglove reads point clouds in JSON only."""
+        return "json" if kind == "points" else self.settings.encoding
 
     def _end(self) -> None:
         file, self._file = self._file, None

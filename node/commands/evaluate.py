@@ -11,45 +11,28 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
-from chachart.config.calibration import load_calibration
-from chachart.config.load import NodeSettings, settings_of
-from chachart.config.settings import EstimatorSettings, RhoMethod, ThetaMethod
-from chachart.node.chart import ChartUpdate
-from chachart.node.commands.cli import check_writable, progress
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
-from chachart.node.estimation.estimator import ChartEstimator
+from chachart.node.commands.charting import (
+    FEWEST_UES,
+    Charted,
+    add_options,
+    estimate,
+    estimator_for,
+    settings_for,
+)
+from chachart.node.commands.cli import check_writable
 from chachart.node.estimation.quality import assess
-from chachart.node.geometry import ArrayGeometry
 from chachart.node.recording import RecordingReader
-
-BATCH_FRAMES = 1024
-"""Frames that the estimator gets at once: one estimate for each UE among them."""
-FEWEST_UES = 4
-"""With fewer known positions, no figure means anything."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line of `chachart evaluate`."""
     parser.add_argument("recording", type=Path, metavar="FILE.mcap", help="the recording")
-    parser.add_argument("--theta", choices=get_args(ThetaMethod), help="angle method (bartlett)")
-    parser.add_argument("--rho", choices=get_args(RhoMethod), help="distance method (as --theta)")
-    parser.add_argument(
-        "--set",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="SECTION.KEY=VALUE",
-        help="change a setting of [estimator] or [quality], as for chachart-node",
-    )
-    parser.add_argument("--calibration", type=Path, metavar="FILE", help="instead of the recording's own")
+    add_options(parser)
     parser.add_argument("--chart", type=Path, metavar="FILE.png", help="draw truth and chart side by side")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
 
@@ -65,15 +48,11 @@ def run(arguments: argparse.Namespace) -> int:
     for path in (arguments.chart, arguments.json):
         if path is not None:
             check_writable(path, force=True)
-    settings = _settings(arguments)
+    settings = settings_for(arguments, arguments.recording)
     reader = RecordingReader(arguments.recording)
-    array = _array(reader, arguments.calibration)
-    try:
-        estimator = ChartEstimator(array, **settings.estimator.model_dump())
-    except ValueError as error:
-        raise SetupError(f"[estimator] {error}") from None
+    estimator = estimator_for(reader, settings, arguments.calibration)
     started = time.perf_counter()
-    chart, frames = _chart(reader, estimator)
+    chart, frames = estimate(reader, estimator)
     seconds = time.perf_counter() - started
     figures: dict[str, Any] = {
         "tw": None,
@@ -100,59 +79,12 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(figures, indent=2) + "\n")
     if arguments.chart is not None:
-        from chachart.node.commands.figure import draw
+        from chachart.node.commands.figures import chart as picture
+        from chachart.node.commands.figures.style import write
 
-        draw(arguments.chart, chart, reader.array, f"{arguments.recording.name}, {method}")
+        charted = Charted(chart, reader.array, f"{arguments.recording.name}, {method}")
+        write(arguments.chart, lambda: picture.draw(charted))
     return 0
-
-
-def _array(reader: RecordingReader, calibration: Path | None) -> ArrayGeometry:
-    if calibration is None:
-        return reader.array
-    try:
-        return replace(reader.array, calibration=load_calibration(calibration))
-    except ValueError as error:
-        raise SetupError(f"--calibration: {error}") from None
-
-
-def _settings(arguments: argparse.Namespace) -> NodeSettings:
-    theta = arguments.theta or ("joint" if arguments.rho == "joint" else EstimatorSettings().theta)
-    document = {
-        "source": {"type": "recording", "path": str(arguments.recording)},
-        "estimator": {"theta": theta, "rho": arguments.rho or theta, "averaging": "mean"},
-    }
-    return settings_of(document, arguments.set, "options")
-
-
-def _chart(reader: RecordingReader, estimator: ChartEstimator) -> tuple[ChartUpdate, int]:
-    """The last estimates of every UE, and how many frames there were."""
-    updates: list[ChartUpdate] = []
-    frames = waiting = 0
-    with progress("charting", reader.summary().frames) as advance:
-        for batch in _batches(reader):
-            update = estimator.update(batch)
-            frames += len(batch)
-            advance(len(batch))
-            if len(update):
-                updates.append(update)
-                waiting += len(update)
-            if waiting > 8 * max(estimator.ues, BATCH_FRAMES):
-                updates, waiting = [ChartUpdate.concatenate(updates)], 0
-    if not updates:
-        rejected = ", ".join(f"{n} {reason}" for reason, n in estimator.rejected.as_dict().items())
-        raise SetupError(f"{reader.path}: no frame could be used, of {frames} ({rejected or 'it is empty'})")
-    return ChartUpdate.concatenate(updates), frames
-
-
-def _batches(reader: RecordingReader) -> Iterator[CsiBlock]:
-    blocks: list[CsiBlock] = []
-    for block in reader.blocks():
-        blocks.append(block)
-        if sum(map(len, blocks)) >= BATCH_FRAMES:
-            yield CsiBlock.concatenate(blocks)
-            blocks = []
-    if blocks:
-        yield CsiBlock.concatenate(blocks)
 
 
 def _print(recording: Path, method: str, figures: dict[str, Any], remark: str) -> None:

@@ -16,10 +16,11 @@ COMMANDS = {
     "config": "print a commented sample configuration",
     "ctl": "ask and steer a running node",
     "evaluate": "chart a recording and say how good the chart is",
-    "export": "turn a recording into a file for other tools",
+    "export": "turn a recording or a chart log into a file for other tools",
     "frontend": "be an array front-end on a serial line or a CAN bus, with faults on request",
     "import": "turn a capture of another tool into a recording",
     "info": "show what a recording holds",
+    "plot": "draw charts, spectra, quality, errors and calibrations for papers",
     "reproduce": "reproduce the published tables and figures, as one HTML report",
     "watch": "watch a node's chart in the terminal",
 }

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import base64
 import json
 from pathlib import Path
 from typing import Any
@@ -112,3 +113,40 @@ def test_a_log_that_was_not_closed_can_be_read(tmp_path: Path) -> None:
         assert next(read)[1].topic == "chart.lab"
         with pytest.raises(EndOfFile):
             next(read)
+
+
+def test_foxglove_gets_point_clouds(tmp_path: Path) -> None:
+    """One a write however many UEs, as Foxglove's documentation of foxglove.PointCloud has it."""
+    chart = some_chart(5000)
+    log = chart_log(tmp_path / "a.mcap", every_s=0, foxglove=True, encoding="msgpack")
+    log.on_chart(chart)
+    log.close()
+    with (tmp_path / "a.mcap").open("rb") as file:
+        read = [m for m in make_reader(file).iter_messages() if m[1].topic == "/chart/lab/points"]
+    [(schema, channel, message)] = read
+    assert schema is not None
+    assert (schema.name, schema.encoding, channel.message_encoding) == (
+        "foxglove.PointCloud",
+        "jsonschema",
+        "json",
+    )
+    described = json.loads(schema.data)["properties"]
+    cloud = json.loads(message.data)
+    assert cloud.keys() == described.keys()
+    assert described["data"] == {"type": "string", "contentEncoding": "base64"}
+    assert cloud["timestamp"]["sec"] * 10**9 + cloud["timestamp"]["nsec"] <= message.log_time
+    assert cloud["frame_id"] == "lab"
+    numeric = {7: "<f4", 8: "<f8"}
+    point = np.dtype(
+        {
+            "names": [f["name"] for f in cloud["fields"]],
+            "formats": [numeric[f["type"]] for f in cloud["fields"]],
+            "offsets": [f["offset"] for f in cloud["fields"]],
+            "itemsize": cloud["point_stride"],
+        }
+    )
+    points = np.frombuffer(base64.b64decode(cloud["data"]), point)
+    np.testing.assert_array_equal(points["ue"], chart.ue)
+    np.testing.assert_allclose(points["x"], chart.x, rtol=1e-6)
+    np.testing.assert_allclose(points["y"], chart.y, rtol=1e-6)
+    np.testing.assert_allclose(points["snr"], chart.snr, rtol=1e-6)

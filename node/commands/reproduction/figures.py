@@ -9,15 +9,14 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
 from PIL import Image
 
-from chachart.node.commands.figure import position_colours
+from chachart.node.commands.figures.chart import position_colours
+from chachart.node.commands.figures.style import share, share_axis
 from chachart.node.commands.reproduction.accuracy import Accuracy
 from chachart.node.commands.reproduction.embeddings import aligned
 from chachart.node.commands.reproduction.paper import Pair, published
@@ -28,8 +27,6 @@ Floats = NDArray[np.float64]
 
 DPI = 130
 COLOURS = 96
-LEAST_SHARE = 2e-5
-"""1 - TW and 1 - CT are drawn as at least so much: a logarithmic axis has no zero."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,8 +150,8 @@ def curves(pairs: Sequence[Pair], charted: Sequence[Charted], others: Sequence[C
             for (c, colour, style), width in zip(lines, widths, strict=True):
                 values = c.tw if name == "TW" else c.ct
                 k = np.arange(1, len(values) + 1)
-                ax.plot(k, _share(values), style, color=colour, linewidth=width, label=c.name)
-            _share_axis(ax, "y")
+                ax.plot(k, share(values), style, color=colour, linewidth=width, label=c.name)
+            share_axis(ax, "y")
             ax.set(xlabel="neighbours K", title=name)
         figure.legend(*left.get_legend_handles_labels(), loc="outside right upper", fontsize=8)
         return figure
@@ -173,13 +170,13 @@ def summary(pairs: Sequence[Pair], channels: dict[str, Sequence[Charted]]) -> Dr
             for row, (pair, c) in enumerate(zip(pairs, charted, strict=True)):
                 before = published(channel, pair)
                 for kind, marker, shift, colour in kinds:
-                    here = _share(getattr(c, kind)[-1:])[0]
+                    here = share(getattr(c, kind)[-1:])[0]
                     if before is not None:
-                        there = _share(np.array([getattr(before, kind)]))[0]
+                        there = share(np.array([getattr(before, kind)]))[0]
                         ax.plot([there, here], [row + shift] * 2, color=colour, linewidth=1, alpha=0.6)
                         ax.plot(there, row + shift, marker, color=colour, fillstyle="none", markersize=4.5)
                     ax.plot(here, row + shift, marker, color=colour, markersize=4.5)
-            _share_axis(ax, "x")
+            share_axis(ax, "x")
             ax.set(title=_CHANNELS[channel], yticks=range(len(pairs)), ylim=(len(pairs) - 0.5, -0.5))
             ax.set_yticklabels([display(pair) for pair in pairs])
         handles = [
@@ -238,19 +235,3 @@ def _bandwidth(hz: float) -> str:
 def _judged(c: Charted) -> str:
     """Name, TW and CT."""
     return f"{c.name}  " + " ".join(f"{v[-1]:.4f}".removeprefix("0") for v in (c.tw, c.ct))
-
-
-def _share(values: Floats) -> Floats:
-    return np.maximum(1 - values, LEAST_SHARE)
-
-
-def _share_axis(ax: Axes, which: str) -> None:
-    """A logarithmic axis of 1 - TW that reads as TW and grows towards 1."""
-    scale: Any = ax.set_yscale if which == "y" else ax.set_xscale
-    scale("log")
-    axis: Any = ax.yaxis if which == "y" else ax.xaxis
-    axis.set_inverted(True)
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{1 - v:.6f}".rstrip("0").removeprefix("0")))
-    ax.grid(which="major")

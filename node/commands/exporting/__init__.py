@@ -1,0 +1,1 @@
+"""What `chachart export` writes, one module a kind of content."""
