@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.estimation import order, spectra
-from chachart.node.estimation.bounds import stochastic_std
+from chachart.node.estimation.bounds import mvdr_excess, stochastic_std
 from chachart.node.estimation.covariance import Bank, Grouping, LagSums, forward_backward
 from chachart.node.estimation.manifold import Search, UniformManifold, derivatives
 from chachart.node.estimation.options import Options
@@ -137,6 +137,13 @@ class SpectralAxis:
         beam = np.einsum("kni,kni->k", steering.conj(), np.matmul(r, steering)).real
         return self._judge(u, np.einsum("kii->k", r).real / scale, beam / (scale * n), snapshots)
 
+    def mean_lags(self, slots: Slots, weight: Floats) -> Complex:
+        """Lag polynomials (U, N) of the average covariances, per element: the first is the mean power."""
+        sums = self._bank.rows[slots]
+        lags = sums if self.method == "bartlett" else self._lags.of(sums)
+        scale = weight * (self.snapshots * self.manifold.size)
+        return np.asarray(lags / scale[:, None], np.complex128)
+
     def spectrum(self, slot: int, frames: float, points: int) -> tuple[Floats, Floats]:
         """Coordinate grid and spectrum (largest value 1) of one UE, in double precision."""
         c: Complex = self._bank.rows[[slot]].astype(np.complex128)
@@ -180,4 +187,7 @@ class SpectralAxis:
         u_std = stochastic_std(n, snapshots, power / noise)
         if self.method == "minnorm":
             u_std *= np.sqrt((n + 1) / 6)
+        elif self.method == "mvdr":
+            mirrored = 2 if self.options.forward_backward else 1
+            u_std *= np.sqrt(mvdr_excess(n, mirrored * snapshots, power / noise, self.options.loading))
         return AxisEstimate(self.manifold.coordinate(u), self.manifold.coordinate_std(u, u_std), power, noise)

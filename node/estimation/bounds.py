@@ -32,6 +32,26 @@ def stochastic_std(size: int, snapshots: Any, snr: Any) -> Floats:
     return deterministic_std(size, snapshots, snr) * np.sqrt(1 + 1 / (size * np.asarray(snr, np.float64)))
 
 
+def mvdr_excess(size: int, snapshots: Any, snr: Any, loading: float) -> Floats:
+    """How many times the stochastic bound the variance of loaded MVDR is, because R's inverse is noisy too.
+
+    Perturbation of the spectrum's minimum to first order in the cross terms between path and noise, with the
+    noise block's inverse averaged by the Marchenko-Pastur law: m_1 and m_2 are the mean first and second
+    powers of (C + delta I)^-1 for a white sample covariance C of ratio y = (N - 1) / M. Unloaded, at high
+    SNR, this is 1 / (1 - y).
+    """
+    m, ratio = np.asarray(snapshots, np.float64), np.asarray(snr, np.float64)
+    y, delta = (size - 1) / m, np.maximum(loading * (ratio + 1), 1e-9)
+    b = 1 - y + delta
+    root = np.sqrt(b * b + 4 * y * delta)
+    m1 = 2 / (root + b)
+    weight = m1 - delta * (y * m1 + 1) * m1 / root
+    beam = size * ratio + 1
+    schur = beam * (1 - y * (1 - delta * m1)) + delta
+    excess: Floats = weight * ((beam - 1) / (schur * m1 - 1 + beam * weight / m)) ** 2
+    return excess
+
+
 def theta_std(array: ArrayGeometry, theta: Any, snr: Any, frames: Any, *, stochastic: bool = True) -> Floats:
     """Bound on theta (rad) at true `theta`, each of `frames` frames giving a snapshot per subcarrier."""
     bound = stochastic_std if stochastic else deterministic_std

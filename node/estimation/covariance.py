@@ -7,6 +7,7 @@ that.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -162,6 +163,10 @@ class LagSums:
         self.size = size
         self._scratch: dict[np.dtype[Any], tuple[Complex, NDArray[Any]]] = {}
 
+    def of(self, q: Complex) -> Complex:
+        """Lag polynomials (K, N) of Hermitian matrices q (K, N, N)."""
+        return self._sums(len(q), q.dtype, lambda part, out: np.copyto(out, q[part]))
+
     def of_products(self, x: Complex, conjugate: Complex) -> Complex:
         """Lag polynomials (K, N) of X Xᴴ for factors x (K, N, M) and their conjugates."""
         n = self.size
@@ -170,14 +175,19 @@ class LagSums:
             power = np.einsum("kfm,kfm->kf", transform.real, transform.real)
             power += np.einsum("kfm,kfm->kf", transform.imag, transform.imag)
             c: Complex = fft.rfft(power, axis=1, norm="forward")[:, :n]
-        else:
-            c = np.empty((len(x), n), x.dtype)
-            room, diagonals = self._memory(len(x), x.dtype)
-            for i in range(0, len(x), len(room)):
-                part = slice(i, i + len(room))
-                count = len(c[part])
-                np.matmul(x[part], conjugate[part].swapaxes(1, 2), out=room[:count])
-                c[part] = np.einsum("kij->kj", diagonals[:count]).view(x.dtype)
+            c[:, 1:] *= 2
+            return c
+        across = conjugate.swapaxes(1, 2)
+        return self._sums(len(x), x.dtype, lambda part, out: np.matmul(x[part], across[part], out=out))
+
+    def _sums(self, count: int, dtype: np.dtype[Any], fill: Callable[[slice, Complex], object]) -> Complex:
+        """Lag polynomials of `count` matrices, which `fill` writes, some at a time."""
+        c = np.empty((count, self.size), dtype)
+        room, diagonals = self._memory(count, dtype)
+        for i in range(0, count, len(room)):
+            part = slice(i, min(i + len(room), count))
+            fill(part, room[: part.stop - i])
+            c[part] = np.einsum("kij->kj", diagonals[: part.stop - i]).view(dtype)
         c[:, 1:] *= 2
         return c
 

@@ -60,10 +60,11 @@ class UniformManifold:
         """Standard deviation of the coordinate, given that of u."""
         raise NotImplementedError
 
-    def coordinates(self, step: float) -> Floats:
-        """Every `step` of the coordinate within the range."""
+    def multiples(self, step: float) -> Floats:
+        """The multiples of `step` that the coordinate's range holds."""
         low, high = self._ends()
-        return np.append(np.arange(low, high - 1e-9 * step, step), high)
+        first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+        return step * np.arange(first, last + 1, dtype=np.float64)
 
     def points(self, count: int) -> Floats:
         """`count` equidistant coordinates, from one end of the range to the other."""
@@ -147,13 +148,27 @@ class Search:
     def __init__(self, manifold: UniformManifold, step: float | None, newton_steps: int) -> None:
         self.manifold = manifold
         self.newton_steps = newton_steps
+        low, high = manifold.low, manifold.high
+        self._full_circle = high - low > 2 * math.pi * (1 - 1e-9)
         if step is None:
             cell = 2 * math.pi / manifold.size / GRID_PER_ELEMENT
-            points = max(math.ceil((manifold.high - manifold.low) / cell), 4) + 1
-            self.grid = np.linspace(manifold.low, manifold.high, points)
+            self.grid = np.linspace(low, high, max(math.ceil((high - low) / cell), 4) + 1)
         else:
-            self.grid = np.sort(manifold.u(manifold.coordinates(step)))
+            self.grid = np.sort(manifold.u(manifold.multiples(step)))
+        if self._full_circle and self.grid[-1] - self.grid[0] > 2 * math.pi * (1 - 1e-9):
+            self.grid = self.grid[:-1]
         self.converged = CONVERGED * 2 * math.pi / manifold.size
+        self._before, self._after = (
+            np.roll(np.arange(len(self.grid)), 1),
+            np.roll(np.arange(len(self.grid)), -1),
+        )
+        self._low, self._high = self.grid[self._before], self.grid[self._after]
+        if self._full_circle:
+            self._low[0] -= 2 * math.pi
+            self._high[-1] += 2 * math.pi
+        else:
+            self._before[0], self._after[-1] = 0, len(self.grid) - 1
+            self._low[0], self._high[-1] = low, high
         self._tables: dict[np.dtype[Any], NDArray[Any]] = {}
 
     def spectrum(self, c: Complex) -> NDArray[Any]:
@@ -174,14 +189,15 @@ class Search:
         """
         values = self.spectrum(c)
         best = values.argmax(axis=1) if maximum else values.argmin(axis=1)
-        rows, last = np.arange(len(c)), len(self.grid) - 1
+        rows = np.arange(len(c))
         u: Floats = self.grid[best]
         value: Floats = values[rows, best].astype(np.float64)
         if not self.newton_steps:
             return u, value
-        before, after = np.maximum(best - 1, 0), np.minimum(best + 1, last)
-        low, high = self.grid[before], self.grid[after]
-        u = u + _vertex(u - low, high - u, values[rows, before] - value, values[rows, after] - value)
+        before, after, low, high = self._before[best], self._after[best], self._low[best], self._high[best]
+        inner = (before != best) & (after != best)
+        fall_left, fall_right = values[rows, before] - value, values[rows, after] - value
+        u = u + np.where(inner, _vertex(u - low, high - u, fall_left, fall_right), 0.0)
         exact = np.array(c.T, np.complex128, order="C")
         sign = -1.0 if maximum else 1.0
         for _ in range(self.newton_steps):
@@ -195,6 +211,8 @@ class Search:
             value = at + step * (slope + 0.5 * step * curvature)
             if np.abs(step).max() < self.converged:
                 break
+        if self._full_circle:
+            u = self.manifold.low + np.mod(u - self.manifold.low, 2 * math.pi)
         return u, value
 
 
@@ -202,8 +220,7 @@ def _vertex(left: Floats, right: Floats, fall_left: Floats, fall_right: Floats) 
     """Where the parabola through (-left, fall_left), (0, 0) and (right, fall_right) turns."""
     a, b = fall_left * right, fall_right * left
     bend = a + b
-    usable = (left > 0) & (right > 0) & (bend != 0)
-    return np.where(usable, 0.5 * (a * right - b * left) / np.where(usable, bend, 1), 0.0)
+    return np.where(bend == 0, 0.0, 0.5 * (a * right - b * left) / np.where(bend == 0, 1.0, bend))
 
 
 def derivatives(c: NDArray[np.complex128], u: Floats) -> tuple[Floats, Floats, Floats]:

@@ -12,6 +12,7 @@ from chachart.node.estimation.amplitude import AmplitudeSum, ranging
 from chachart.node.estimation.axis import SpectralAxis
 from chachart.node.estimation.covariance import Grouping, Weights
 from chachart.node.estimation.manifold import AngleManifold, DelayManifold
+from chachart.node.estimation.noise import NoiseFloor
 from chachart.node.estimation.options import AMPLITUDE, Options
 from chachart.node.estimation.slots import Slots
 from chachart.node.geometry import ArrayGeometry
@@ -76,6 +77,7 @@ class SeparateLocator:
         self._rho: SpectralAxis | None = None
         self._parts: list[Any] = [self._weights, self._theta]
         if options.rho in AMPLITUDE:
+            self._floor = NoiseFloor(array.antennas)
             self._amplitude = AmplitudeSum(options.amplitude, array.antennas, options.decay)
             self._ranging = ranging(
                 options.rho,
@@ -124,10 +126,17 @@ class SeparateLocator:
             at = self._rho.estimate(group, features[1], weight, frames)
             rho, rho_std = at.value, at.std
         else:
-            s = self._amplitude.estimate(group, features[1], weight, theta.power)
+            s = self._amplitude.estimate(group, features[1], weight, self._signal(group, weight, frames))
             rho, rho_std = self._ranging.ranges(group.slots, s, self._array.theta_rho(position)[1])
         snr = 10 * np.log10(theta.power / theta.noise)
         return Located(theta.value, rho, theta.std, rho_std, snr, frames)
+
+    def _signal(self, group: Grouping, weight: Floats, frames: Floats) -> Floats:
+        """Power per element of all paths together, at least what could not be told from none."""
+        lags = self._theta.mean_lags(group.slots, weight)
+        snapshots = frames * self._array.subcarriers
+        noise = self._floor.power(lags, snapshots)
+        return np.maximum(lags[:, 0].real - noise, noise / np.sqrt(self._array.antennas * snapshots))
 
     def spectrum(self, slot: int, points: int) -> dict[str, Any] | None:
         """theta_grid_rad and theta_spectrum, and the same of rho where a spectral method gives it."""

@@ -1,9 +1,10 @@
 """A line-of-sight world of ten lines: spherical waves from UEs to a linear array, and noise."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from chachart.node.chart import ChartUpdate
 from chachart.node.csi import CsiBlock
@@ -75,6 +76,13 @@ def far_away(n: int, seed: int = 0) -> np.ndarray:
     """Positions (n, 3) 600 m away, 30 to 150 degrees from the axis: plane waves of equal strength."""
     theta = np.random.default_rng(seed).uniform(np.pi / 6, 5 * np.pi / 6, n)
     return np.stack([600 * np.sin(theta), 600 * np.cos(theta), np.full(n, 10.0)], axis=1)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_blas_thread() -> Iterator[None]:
+    """Many small matrices: threads would only wait for each other."""
+    with threadpool_limits(1):
+        yield
 
 
 @pytest.fixture

@@ -1,0 +1,55 @@
+"""The noise's power in a covariance that also holds any number of paths: from the quiet half of its beams."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from chachart.node.estimation.manifold import polynomial_table
+
+Complex = NDArray[np.complexfloating[Any, Any]]
+Floats = NDArray[np.float64]
+
+_LOWER_HALF = math.sqrt(2 / math.pi)
+"""The mean of the lower half of a normal distribution lies so many standard deviations below its mean."""
+
+
+class NoiseFloor:
+    """Mean power of the lower half of N beams over the whole range of u, less what picking the lower half
+    takes.
+
+    The beams carry a Hann taper (applied to the lags, so that lag sums suffice), without which the side
+    lobes of a strong path would pass for noise. Paths may take up to half of the beams.
+
+    Parameters
+    ----------
+    size
+        N, the number of elements.
+    """
+
+    def __init__(self, size: int) -> None:
+        taper = np.hanning(size + 2)[1:-1]
+        kernel = np.correlate(taper, taper, "full")[size - 1 :] / np.vdot(taper, taper)
+        window = kernel * size / (size - np.arange(size))
+        self._table = polynomial_table(2 * np.pi * np.arange(size) / size, size) * window.repeat(2)[:, None]
+        both_sides = np.r_[1.0, np.full(size - 1, 2.0)]
+        self._spread = math.sqrt(float(np.sum(both_sides * kernel * window)) / size)
+
+    def power(self, lags: Complex, snapshots: Floats) -> Floats:
+        """Noise power per element (U,).
+
+        Parameters
+        ----------
+        lags
+            (U, N) lag polynomials of covariances per element, lags[:, 0] being the mean power.
+        snapshots
+            (U,) number behind each.
+        """
+        beams = np.ascontiguousarray(lags, np.complex128).view(np.float64) @ self._table
+        half = beams.shape[1] // 2
+        quiet = np.partition(beams, half - 1, axis=1)[:, :half].mean(axis=1)
+        power: Floats = quiet / np.maximum(1 - _LOWER_HALF * self._spread / np.sqrt(snapshots), 0.1)
+        return power
