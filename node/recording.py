@@ -24,6 +24,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from chachart.node.chart_log import is_chart_log
 from chachart.node.counters import Counters
 from chachart.node.csi import CsiBlock
 from chachart.node.errors import SetupError
@@ -214,6 +215,8 @@ class RecordingReader:
         self.path = Path(path)
         self.damaged = Counters()
         self._damaged_in_all = Counters()
+        if is_chart_log(self.path):
+            raise SetupError(f"{path} is a chart log and holds no CSI; a recording is needed")
         self._index: FileIndex = read_index(self.path)
         self._totals = Totals.parse(self._index.metadata.get(_TOTALS, {}))
         self.array, self.note = self._head()

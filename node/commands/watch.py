@@ -139,6 +139,25 @@ class Watch:
             words.append(f"SNR {chart.snr[row]:.1f} dB")
         return ", ".join(words)
 
+    def node(self) -> str:
+        """How the node is, by its last status report, as one line."""
+        report = self.charts.status
+        if report is None:
+            return "no status report from the node yet"
+        words = [f"node {report.get('state')}", f"{report.get('frames_in_per_s') or 0:.0f} frames/s in"]
+        words.append(f"backlog {report.get('backlog_frames') or 0}")
+        latency = report.get("latency_ms") or {}
+        words += [f"latency {name} {latency[name]:.1f} ms" for name in ("p50", "p99") if latency.get(name)]
+        workers = report.get("workers") or []
+        running = sum(worker.get("pid") is not None for worker in workers)
+        restarts = sum(worker.get("restarts", 0) for worker in workers)
+        words += [f"{running} of {len(workers)} workers" + f", {restarts} restarts" * bool(restarts)]
+        for what in ("dropped", "rejected"):
+            reasons = (f"{count} {reason}" for reason, count in (report.get(what) or {}).items() if count)
+            if listed := ", ".join(reasons):
+                words.append(f"{what}: {listed}")
+        return ", ".join(words)
+
     def extremes(self) -> str:
         """The UEs with most estimates a second, and those whose place is least sure, as one line."""
         if self.chart is None:
@@ -163,9 +182,10 @@ class Watch:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         yield Text(self.line(), style="bold", no_wrap=True, overflow="ellipsis")
+        yield Text(self.node(), style="dim", no_wrap=True, overflow="ellipsis")
         if self.chart is not None:
             yield Text(self.extremes(), style="dim", no_wrap=True, overflow="ellipsis")
-            yield from self._plot(options.max_width, (options.height or console.height) - 4)
+            yield from self._plot(options.max_width, (options.height or console.height) - 5)
 
     def _plot(self, columns: int, rows: int) -> RenderResult:
         chart = self.chart

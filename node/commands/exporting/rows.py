@@ -150,7 +150,10 @@ def _geojson(path: Path, charts: Iterator[ChartUpdate], array: ArrayGeometry, pl
         for chart in charts:
             table = _table(chart)
             times = table.pop("time_ns")
-            table["time"] = [datetime.fromtimestamp(t / 1e9, UTC).isoformat() for t in times.tolist()]
+            table["time"] = [
+                datetime.fromtimestamp(t / 1e9, UTC).isoformat(timespec="microseconds")
+                for t in times.tolist()
+            ]
             points = np.round(place.coordinates(chart, array), 8).tolist()
             for point, row in zip(points, zip(*map(_plain, table.values()), strict=True), strict=True):
                 feature = {

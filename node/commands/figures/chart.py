@@ -49,13 +49,15 @@ def draw(what: Charted) -> Figure:
         frames = [_around(frames)] * len(panels)
         spans = np.array([[high - low for low, high in frames[0]]])
     shape = float((spans[:, 1] / spans[:, 0]).max())
-    drawn = new_figure(float(np.clip((WIDTH_IN - 0.7) / len(panels) * shape + 0.7, 2.0, 4.5)))
-    drawn.suptitle(what.name)
+    drawn = new_figure(float(np.clip((WIDTH_IN - 0.7) / len(panels) * shape + 0.7, 2.0, 4.5)), what.name)
     size = float(np.clip(4000 / len(chart), 0.6, 12))
     for i, ((title, x, y, shown), frame) in enumerate(zip(panels, frames, strict=True)):
         axes = drawn.add_subplot(1, len(panels), i + 1)
         axes.scatter(x[shown], y[shown], s=size, c=colours[shown], linewidths=0, rasterized=True)
         axes.plot(0, 0, marker="^", color="black", markersize=4)
+        (left, right), (bottom, top) = frame
+        outside = np.count_nonzero(shown & ((x < left) | (x > right) | (y < bottom) | (y > top)))
+        title += f", {outside} outside" * bool(outside)
         axes.set(title=title, xlabel="x along broadside (m)", aspect="equal", xlim=frame[0], ylim=frame[1])
         if i == 0:
             axes.set_ylabel("y along the array (m)")

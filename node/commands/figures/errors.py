@@ -35,7 +35,9 @@ def draw(what: Charted) -> Figure:
     order = np.argsort(errors)  # the worst on top
     x_limits, y_limits = (limits(column) for column in truth.T)
     shape = (y_limits[1] - y_limits[0]) / (x_limits[1] - x_limits[0])
-    drawn = new_figure(float(np.clip((WIDTH_IN - 1.6) * shape + 0.8, 2.0, 4.2)))
+    p90 = np.percentile(errors, 90)
+    title = f"{what.name}\nmedian {np.median(errors):.3g} m, 90 % below {p90:.3g} m"
+    drawn = new_figure(float(np.clip((WIDTH_IN - 1.6) * shape + 0.8, 2.0, 4.2)), title)
     axes = drawn.add_subplot()
     size = float(np.clip(8000 / len(truth), 1.0, 16))
     points = axes.scatter(
@@ -53,6 +55,4 @@ def draw(what: Charted) -> Figure:
     axes.set(xlabel="true x along broadside (m)", ylabel="true y along the array (m)", aspect="equal")
     axes.set(xlim=x_limits, ylim=y_limits)
     drawn.colorbar(points, ax=axes, label="position error (m)", extend="max", aspect=30)
-    p90 = np.percentile(errors, 90)
-    drawn.suptitle(f"{what.name}\nmedian {np.median(errors):.3g} m, 90 % below {p90:.3g} m")
     return drawn

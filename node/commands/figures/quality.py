@@ -17,6 +17,7 @@ from chachart.node.commands.figures.style import BLUE, ORANGE, new_figure, share
 from chachart.node.errors import SetupError
 from chachart.node.estimation.curves import neighbour_ranks, neighbourhood_curves
 from chachart.node.estimation.quality import DEFAULT_K_SHARE
+from chachart.node.mcap_chunks import MAGIC
 
 MOST_UES = 4096
 """Of more, so many drawn at random stand for all: ranks take memory with the square."""
@@ -36,7 +37,7 @@ def figure(arguments: argparse.Namespace) -> Figure:
         If a file is none of these, or holds neither.
     """
     paths: list[Path] = arguments.files
-    if not is_chart_log(paths[0]) and (reports := _quality_log(paths)) is not None:
+    if (reports := _quality_log(paths)) is not None:
         return draw(None, reports, paths[0].name)
     what = charted(arguments)
     reports = []
@@ -48,8 +49,7 @@ def figure(arguments: argparse.Namespace) -> Figure:
 def draw(what: Charted | None, reports: list[Report], title: str) -> Figure:
     """A panel for the curves of a chart, if there is one, and one for reports over time, if there are any."""
     panels = (what is not None) + bool(reports)
-    drawn = new_figure(0.4 + PANEL_IN * panels)
-    drawn.suptitle(title)
+    drawn = new_figure(0.4 + PANEL_IN * panels, title)
     if what is not None:
         _against_k(drawn.add_subplot(panels, 1, 1), what)
     if reports:
@@ -97,6 +97,9 @@ def _quality_log(paths: list[Path]) -> list[Report] | None:
     reports: list[Any] = []
     for path in paths:
         try:
+            with path.open("rb") as file:
+                if file.read(len(MAGIC)) == MAGIC:
+                    return None
             reports += [json.loads(line) for line in path.read_text("utf-8").splitlines() if line.strip()]
         except OSError as error:
             raise SetupError(f"cannot read {path}: {error.strerror}") from None

@@ -55,8 +55,7 @@ def draw(spectrum: dict[str, Any], truth: tuple[float, float], title: str) -> Fi
     `spectrum` is that of `ChartEstimator.spectrum`, `truth` theta (rad) and rho (m), NaN where unknown.
     """
     panels = 2 if "rho_spectrum" in spectrum else 1
-    drawn = new_figure(0.5 + 1.75 * panels)
-    drawn.suptitle(title)
+    drawn = new_figure(0.5 + 1.75 * panels, title)
     top = drawn.add_subplot(panels, 1, 1)
     values = np.degrees([spectrum["theta"], spectrum["theta_std"], truth[0]])
     _panel(top, np.degrees(spectrum["theta_grid_rad"]), spectrum["theta_spectrum"], values, "°")

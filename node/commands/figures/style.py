@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import matplotlib as mpl
@@ -19,6 +20,7 @@ from chachart.node.errors import SetupError
 
 WIDTH_IN = 3.5
 DPI = 300
+TITLE_LETTERS = 52
 BLUE, ORANGE, GREEN, PURPLE, INK = "#0072b2", "#d55e00", "#009e73", "#b0569b", "#1b1f24"
 """Of Okabe and Ito's palette, darkened where thin lines need it."""
 LEAST_SHARE = 2e-5
@@ -65,9 +67,11 @@ def write(path: Path, make: Callable[[], Figure]) -> None:
             raise SetupError(f"{path} cannot be written: {error}") from None
 
 
-def new_figure(height_in: float) -> Figure:
-    """An empty figure of a column's width."""
-    return Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+def new_figure(height_in: float, title: str = "") -> Figure:
+    """An empty figure of a column's width; a long title takes several lines."""
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    figure.suptitle("\n".join(fill(line, TITLE_LETTERS) for line in title.splitlines()))
+    return figure
 
 
 def share(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -73,7 +73,7 @@ def test_geojson_turns_the_chart_to_its_heading(log: Path, tmp_path: Path) -> No
     offset = (points - [11.5, 48.0]) * metres_a_degree
     np.testing.assert_allclose(offset, np.stack([chart.x, chart.y], axis=1), rtol=1e-2, atol=1)
     first = document["features"][0]["properties"]
-    assert first["time"].startswith("2023-11-14T22:13:20")
+    assert first["time"] == "2023-11-14T22:13:20.000000+00:00"
     assert (first["ue"], first["array"], first["theta_std_rad"]) == (0, "lab", None)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from chart_logs import near_truth, write_chart_log
 
 from chachart.config.settings import ArraySettings
 from chachart.node.calibration import Calibration
@@ -77,3 +78,9 @@ def test_no_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         said = capsys.readouterr().err
         assert name in said
         assert len(said.splitlines()) == 1
+
+
+def test_a_chart_log_is_called_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_chart_log(tmp_path / "log.mcap", near_truth(3))
+    assert main(["info", str(tmp_path / "log.mcap")]) == 78
+    assert "log.mcap is a chart log and holds no CSI" in capsys.readouterr().err

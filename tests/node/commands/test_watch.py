@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import zmq
+from chart_samples import STATUS
 
 from chachart.node.chart import ChartUpdate
 from chachart.node.wire import chart_topic, encode_chart, encode_report
@@ -33,6 +34,7 @@ def endpoint(tmp_path: Path, make_update: Callable[..., ChartUpdate]) -> Iterato
             while not over.wait(0.02):
                 report = encode_report("quality", "lab", seq, 1, {"tw": 0.98765, "ct": 0.5})
                 socket.send_multipart([b"quality.lab", report])
+                socket.send_multipart([b"status.lab", encode_report("status", "lab", seq, 1, STATUS)])
                 socket.send_multipart([chart_topic("lab"), encode_chart(update, seq)])
                 seq += 2
 
@@ -90,6 +92,7 @@ def test_a_picture_in_a_terminal(endpoint: str) -> None:
     assert any(0x2800 < ord(c) < 0x2900 for c in text), "braille dots"
     assert "array at x = y = 0" in text
     assert "busiest: " in text
+    assert "node running, 0 frames/s in, backlog 0, 0 of 0 workers, dropped: 3 queue_full" in text
     assert "worst: 0 (0.0 dB), 1 (0.1 dB)" in text
 
 
