@@ -97,6 +97,8 @@ class DirectPath:
         cells = np.arange(a * d).reshape(a, d)
         ring = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
         self._neighbours = np.stack([np.roll(cells, shift, axis=(0, 1)).ravel() for shift in ring])
+        cross = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
+        self._cross = np.stack([np.roll(cells, shift, axis=(0, 1)).ravel() for shift in cross])
         self._border = np.ones((a, d), np.bool_)
         self._border[1:-1, 1:-1] = False
         self._allowed = self._searched()
@@ -220,21 +222,11 @@ class DirectPath:
     def _parabola(self, power: Power, cell: Index) -> tuple[Floats, Floats]:
         """u and v (U,) of the vertices of parabolas through the logarithms around grid points `cell` (U,)."""
         a, d = self.periodogram.grid
+        start = np.arange(len(power)) * self._cross.shape[1]
+        here, before_u, after_u, before_v, after_v = np.log(power.reshape(-1)[start + self._cross[:, cell]])
         i, j = np.divmod(cell, d)
-        ue = np.arange(len(power))
-        height = np.log(
-            np.stack(
-                [
-                    power[ue, i, j],
-                    power[ue, i - 1, j],
-                    power[ue, (i + 1) % a, j],
-                    power[ue, i, j - 1],
-                    power[ue, i, (j + 1) % d],
-                ]
-            ).astype(np.float64)
-        )
-        u = (i + _vertex(height[1], height[0], height[2])) * (2 * np.pi / a)
-        v = (j + _vertex(height[3], height[0], height[4])) * (2 * np.pi / d)
+        u = (i + _vertex(before_u, here, after_u)) * (2 * np.pi / a)
+        v = (j + _vertex(before_v, here, after_v)) * (2 * np.pi / d)
         return u, v
 
     def _newton(self, power: Power, u: Floats, v: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
@@ -291,6 +283,8 @@ def _of_each(ue: Index, chosen: NDArray[np.bool_], count: int) -> Index:
     return of
 
 
-def _vertex(left: Floats, middle: Floats, right: Floats) -> Floats:
+def _vertex(left: Power, middle: Power, right: Power) -> Floats:
     """Where the parabola through three neighbours peaks, in steps from the middle one."""
-    return np.clip((left - right) / np.minimum(left - 2 * middle + right, -1e-6) / 2, -0.5, 0.5)
+    curvature = np.minimum(left - 2 * middle + right, np.float32(-1e-6))
+    vertex: Floats = np.clip((left - right) / curvature / 2, -0.5, 0.5).astype(np.float64)
+    return vertex

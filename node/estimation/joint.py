@@ -94,9 +94,9 @@ class JointLocator:
     ) -> Located:
         """Take a block's frames and locate its UEs; `position` is of no use here."""
         _, frames = self._weights.add(group)
-        self._state.add(group, features[0])
+        self._state.take(group, features[0])
         if self._watch is not None and isinstance(self._state, CoherentSums):
-            self._watch.take(group, features[0], self._state.bank.rows[group.slots], self._decay)
+            self._watch.look(group, features[0], self._state.bank.rows[group.slots], self._decay)
             if not self._watch.steady:
                 self._average_power(self._state)
         chunk = self._direct_path.periodogram.chunk
@@ -164,7 +164,7 @@ class PhaseWatch:
         """Whether frames do keep their phase."""
         return self._cosines >= self.STEADY * self._count
 
-    def take(self, group: Grouping, csi: Csi, sums: Csi, decay: float) -> None:
+    def look(self, group: Grouping, csi: Csi, sums: Csi, decay: float) -> None:
         """Look at some of a block's frames (K, N_R, N_S); `sums` (U, N_R, N_S) already hold them."""
         every = slice(self._blocks % min(self.EVERY, len(csi)), None, self.EVERY)
         self._blocks += 1

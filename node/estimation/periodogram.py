@@ -23,7 +23,7 @@ Csi = NDArray[np.complex64]
 Power = NDArray[np.float32]
 Floats = NDArray[np.float64]
 
-_CHUNK_BYTES = 1 << 19
+_CHUNK_BYTES = 1 << 20
 """Spectra are made and read so many bytes at a time, to stay in the cache."""
 
 
@@ -108,7 +108,7 @@ class SpectrumState(Protocol):
     def energy(self, features: NDArray[Any]) -> NDArray[Any]:
         """Sum of |h|^2 of each frame (K,)."""
 
-    def add(self, group: Grouping, features: NDArray[Any]) -> None:
+    def take(self, group: Grouping, features: NDArray[Any]) -> None:
         """Take a block's frames."""
 
     def spectra(self, slots: Slots) -> tuple[Power, Floats, Floats]:
@@ -154,16 +154,16 @@ class CoherentSums:
         """Sum of |h|^2 of each frame (K,)."""
         return energy(features.reshape(len(features), -1))
 
-    def add(self, group: Grouping, features: Csi) -> None:
+    def take(self, group: Grouping, features: Csi) -> None:
         """Take a block's frames."""
         self.bank.add(group, features)
 
     def spectra(self, slots: Slots) -> tuple[Power, Floats, Floats]:
         """See `SpectrumState`."""
         weight, frames = self._weights.of(slots)
-        power = self._periodogram.of(self.bank.rows[slots])
-        power *= (frames / weight**2).astype(np.float32)[:, None, None]
-        return power, np.ones(len(slots)), frames
+        sums = self.bank.rows[slots]
+        sums *= (np.sqrt(frames) / weight).astype(np.float32)[:, None, None]
+        return self._periodogram.of(sums), np.ones(len(slots)), frames
 
 
 class PowerSums:
@@ -205,7 +205,7 @@ class PowerSums:
         mean: NDArray[np.float32] = features.mean(axis=(1, 2))
         return mean
 
-    def add(self, group: Grouping, features: Power) -> None:
+    def take(self, group: Grouping, features: Power) -> None:
         """Take a block's frames."""
         self._bank.add(group, features)
         self._weights.add(group)

@@ -20,13 +20,13 @@ from chachart.node.commands.benchmarks.timing import Timing
 from chachart.node.commands.cli import progress
 from chachart.node.csi import CsiBlock
 from chachart.node.estimation.estimator import ChartEstimator
-from chachart.node.estimation.options import SPECTRAL
+from chachart.node.estimation.options import JOINT, SPECTRAL
 from chachart.node.geometry import ArrayGeometry
 from chachart.sources.scenario.channel import channels
 from chachart.sources.scenario.layout import place
 
 PAIRS = (
-    *((method, method) for method in SPECTRAL),
+    *((method, method) for method in (*SPECTRAL, JOINT)),
     ("bartlett", "music"),
     ("bartlett", "isq"),
     ("bartlett", "lr"),
@@ -34,7 +34,7 @@ PAIRS = (
 TEXTBOOK_UES = 96
 STAGES = {
     "covariance": {"of_snapshots", "covariances", "add"},
-    "search": {"extremum"},
+    "search": {"extremum", "find"},
 }
 """Functions of the estimation room whose time, with all that they call, is that of a stage; what is left of
 the whole is the map from covariance to spectrum."""

@@ -350,9 +350,9 @@ def test_phase_watch_ignores_noise_and_single_frames() -> None:
     noise = (rng.standard_normal((8, 16, 16, 2)) @ [1, 1j]).astype(np.complex64)
     group = Grouping(np.arange(8))
     for _ in range(50):
-        watch.take(group, noise, noise.copy(), 1.0)
+        watch.look(group, noise, noise.copy(), 1.0)
         other = (rng.standard_normal((8, 16, 16, 2)) @ [1, 1j]).astype(np.complex64)
-        watch.take(group, noise, noise + other, 1.0)
+        watch.look(group, noise, noise + other, 1.0)
     assert watch.steady
 
 
