@@ -167,7 +167,7 @@ class Session:
 class Intake:
     """Frames of all front-ends on one link, gathered into blocks.
 
-    A block's `seq` counts the lost frames too, so that who reads it sees the gap.
+    The `seq` of every block but the first counts the lost frames too, so that who reads it sees the gap.
     """
 
     def __init__(self, array: ArrayGeometry, rejected: Counters) -> None:
@@ -197,7 +197,8 @@ class Intake:
             return None
         packets, times = self._packets, self._times
         self._packets, self._times = [], []
-        self._most_lost = max(self._most_lost, sum(s.sequence.lost for s in self.sessions.values()))
+        if self._delivered:
+            self._most_lost = max(self._most_lost, sum(s.sequence.lost for s in self.sessions.values()))
         seq = self._delivered + self._most_lost
         self._delivered += len(packets)
         scale = np.array([p.scale for p in packets], np.float32)
