@@ -209,7 +209,7 @@ class Watch:
     def _followed_row(self) -> int | None:
         if self.chart is None or self.followed is None:
             return None
-        rows = np.flatnonzero(self.chart.ue == np.uint64(self.followed))
+        rows = np.flatnonzero(self.chart.ue == self.followed)
         return int(rows[0]) if len(rows) else None
 
 

@@ -45,7 +45,9 @@ _STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.2,
     "pdf.fonttype": 42,
     "svg.fonttype": "none",
+    "svg.hashsalt": "chachart",
 }
+# Without dates and random names, the same chart gives the same file.
 _DATELESS = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
 
 

@@ -97,9 +97,14 @@ def test_axes_have_units_and_letters_are_legible(
     assert min(sizes) >= 7  # an SVG of matplotlib has 72 pixels an inch
 
 
-def test_pdf(files: Path, tmp_path: Path) -> None:
-    assert main(["plot", "chart", str(files / "log.mcap"), "-o", str(tmp_path / "a.PDF")]) == 0
-    assert (tmp_path / "a.PDF").read_bytes().startswith(b"%PDF")
+@pytest.mark.parametrize(("ending", "start"), [("PDF", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")])
+def test_the_same_chart_gives_the_same_file(files: Path, tmp_path: Path, ending: str, start: bytes) -> None:
+    outs = [tmp_path / f"{name}.{ending}" for name in "ab"]
+    for out in outs:
+        assert main(["plot", "quality", str(files / "log.mcap"), "-o", str(out)]) == 0
+    first, second = (out.read_bytes() for out in outs)
+    assert first.startswith(start)
+    assert first == second
 
 
 @pytest.mark.parametrize(
