@@ -49,7 +49,7 @@ class AmplitudeSum:
         """Start `slots` afresh."""
         self._bank.clear(slots)
 
-    def features(self, csi: NDArray[np.complex64]) -> NDArray[Any]:
+    def of_frames(self, csi: NDArray[np.complex64]) -> NDArray[Any]:
         """What is kept of each frame (K, N_R, N_S): nothing, h of the first subcarrier, or mean |h|."""
         if self.kind == "debiased":
             return np.zeros((len(csi), 0), np.float32)

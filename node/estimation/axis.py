@@ -103,7 +103,7 @@ class SpectralAxis:
         for part in self._parts:
             part.clear(slots)
 
-    def features(self, x: Complex, conjugate: Complex) -> Complex:
+    def of_frames(self, x: Complex, conjugate: Complex) -> Complex:
         """What is kept of each frame, from snapshot matrices x (K, N, M) and their conjugates.
 
         Lag polynomials (K, N) for Bartlett, covariances (K, N, N) for the others.

@@ -29,7 +29,10 @@ def deterministic_std(size: int, snapshots: Any, snr: Any) -> Floats:
 
 def stochastic_std(size: int, snapshots: Any, snr: Any) -> Floats:
     """Bound on the standard deviation of u (rad); `snr` is linear, per element."""
-    return deterministic_std(size, snapshots, snr) * np.sqrt(1 + 1 / (size * np.asarray(snr, np.float64)))
+    ratio = np.asarray(snr, np.float64)
+    variance = 6 / (snapshots * ratio * (size * (size**2 - 1))) * (1 + 1 / (size * ratio))
+    std: Floats = np.sqrt(variance)
+    return std
 
 
 def mvdr_excess(size: int, snapshots: Any, snr: Any, loading: float) -> Floats:

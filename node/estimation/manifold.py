@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -45,8 +46,8 @@ class UniformManifold:
 
     def steering(self, u: Any) -> NDArray[np.complex128]:
         """Steering vectors (..., N) at u (...)."""
-        vectors: NDArray[np.complex128] = np.exp(1j * np.asarray(u)[..., None] * np.arange(self.size))
-        return vectors
+        u = np.asarray(u, np.float64)
+        return powers(u.reshape(-1), self.size).T.reshape(*u.shape, self.size)
 
     def coordinate(self, u: Floats) -> Floats:
         """What u stands for."""
@@ -189,31 +190,42 @@ class Search:
         """
         values = self.spectrum(c)
         best = values.argmax(axis=1) if maximum else values.argmin(axis=1)
-        rows = np.arange(len(c))
+        row = np.arange(0, values.size, values.shape[1])
         u: Floats = self.grid[best]
-        value: Floats = values[rows, best].astype(np.float64)
+        value: Floats = values.take(row + best).astype(np.float64)
         if not self.newton_steps:
             return u, value
         before, after, low, high = self._before[best], self._after[best], self._low[best], self._high[best]
+        fall_left, fall_right = values.take(row + before) - value, values.take(row + after) - value
         inner = (before != best) & (after != best)
-        fall_left, fall_right = values[rows, before] - value, values[rows, after] - value
         u = u + np.where(inner, _vertex(u - low, high - u, fall_left, fall_right), 0.0)
         exact = np.array(c.T, np.complex128, order="C")
-        sign = -1.0 if maximum else 1.0
-        for _ in range(self.newton_steps):
-            at, slope, curvature = derivatives(exact, u)
-            uphill, bend = sign * slope, sign * curvature
-            low, high = np.where(uphill < 0, u, low), np.where(uphill < 0, high, u)
-            target = u - uphill / np.where(bend > 0, bend, np.inf)
-            inside = (bend > 0) & (target >= low) & (target <= high)
-            step = np.where(inside, target, (low + high) / 2) - u
-            u = u + step
-            value = at + step * (slope + 0.5 * step * curvature)
-            if np.abs(step).max() < self.converged:
-                break
+        if maximum:
+            np.negative(exact, out=exact)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u, value = _descend(exact, u, low, high, self.newton_steps, self.converged)
         if self._full_circle:
             u = self.manifold.low + np.mod(u - self.manifold.low, 2 * math.pi)
-        return u, value
+        return u, -value if maximum else value
+
+
+def _descend(
+    c: NDArray[np.complex128], u: Floats, low: Floats, high: Floats, steps: int, converged: float
+) -> tuple[Floats, Floats]:
+    """Newton steps from u (K,) to a minimum of c (N, K) within [low, high], and the value there."""
+    for _ in range(steps):
+        value, slope, curvature = derivatives(c, u)
+        target = u - slope / curvature
+        sound = (curvature > 0) & (target >= low) & (target <= high)
+        if not sound.all():
+            uphill = slope > 0
+            low, high = np.where(uphill, low, u), np.where(uphill, u, high)
+            target = np.where(sound & (target >= low) & (target <= high), target, (low + high) / 2)
+        step = target - u
+        u = target
+        if np.abs(step).max() < converged:
+            break
+    return u, value + step * (slope + 0.5 * step * curvature)
 
 
 def _vertex(left: Floats, right: Floats, fall_left: Floats, fall_right: Floats) -> Floats:
@@ -225,12 +237,17 @@ def _vertex(left: Floats, right: Floats, fall_left: Floats, fall_right: Floats) 
 
 def derivatives(c: NDArray[np.complex128], u: Floats) -> tuple[Floats, Floats, Floats]:
     """Value, slope and curvature (K,) at u (K,) of lag polynomials c (N, K), lags first."""
-    k = np.arange(len(c), dtype=np.float64)
     terms = powers(u, len(c))
     terms *= c
-    weights = np.stack([np.ones_like(k), -k, -k * k])
-    sums: Floats = (weights @ terms.view(np.float64)).reshape(3, -1, 2)
+    sums: Floats = (_derivative_weights(len(c)) @ terms.view(np.float64)).reshape(3, -1, 2)
     return sums[0, :, 0], sums[1, :, 1], sums[2, :, 0]
+
+
+@lru_cache(maxsize=16)
+def _derivative_weights(n: int) -> Floats:
+    """Of c_k exp(j k u): real part 1 for the value, imaginary part -k, real part -k^2 for the derivatives."""
+    k = np.arange(n, dtype=np.float64)
+    return np.stack([np.ones(n), -k, -k * k])
 
 
 def powers(u: Floats, n: int) -> NDArray[np.complex128]:

@@ -106,10 +106,10 @@ class SeparateLocator:
     def features(self, csi: NDArray[np.complex64]) -> list[NDArray[Any]]:
         """Of both axes, or of the angle axis and the amplitude."""
         conjugate = csi.conj()
-        theta = self._theta.features(csi, conjugate)
+        theta = self._theta.of_frames(csi, conjugate)
         if self._rho is None:
-            return [theta, self._amplitude.features(csi)]
-        return [theta, self._rho.features(csi.swapaxes(1, 2), conjugate.swapaxes(1, 2))]
+            return [theta, self._amplitude.of_frames(csi)]
+        return [theta, self._rho.of_frames(csi.swapaxes(1, 2), conjugate.swapaxes(1, 2))]
 
     def energy(self, features: list[NDArray[Any]]) -> NDArray[Any]:
         """Sum of |h|^2 of each frame (K,)."""

@@ -26,10 +26,11 @@ FEW: Final = 1 / 16
 TOLERANCE: Final = 0.03
 """What is left to converge, as a share of what the sample covariance is uncertain by."""
 
-FREE_STEPS: Final = 2
+FREE_STEPS: Final = 1
 """Steps before the first check."""
-BULK_MARGIN: Final = 1.25
-"""Vectors after the first count as noise up to so far beyond the bulk's edge, which itself fluctuates."""
+NOISE_LIKE: Final = 6.0
+"""Vectors after the first, with eigenvalues up to so many times the noise's, count as noise: what is left to
+converge of them hardly moves the first one's null, and from frame to frame they converge anyway."""
 
 _ROUNDING: Final = 8 * float(np.finfo(np.float32).eps)
 _TINY: Final = np.float32(1e-30)
@@ -124,7 +125,7 @@ def _unconverged(basis: Complex, onward: Complex, trace: Real, snapshots: Real) 
     value = np.einsum("koo->ko", inner).real
     noise = (np.maximum(trace - value.sum(axis=1), 0) / (n - order))[:, None]
     m = snapshots[:, None]
-    bulk = noise * (1 + np.sqrt(n / m)) ** 2 * np.where(np.arange(order) == 0, 1, BULK_MARGIN)
+    bulk = np.where(np.arange(order) == 0, (1 + np.sqrt(n / m)) ** 2, NOISE_LIKE) * noise
     allowed = TOLERANCE**2 * value * noise / m + (_ROUNDING * trace[:, None]) ** 2
     moving: NDArray[np.bool_] = ((value > bulk) & (residual > allowed)).any(axis=1)
     return moving

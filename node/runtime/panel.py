@@ -38,7 +38,6 @@ def panel(status: dict[str, Any]) -> Panel:
         ]
         figures.add_row(*row)
     parts: list[RenderableType] = [figures, Text()]
-    parts += [_front_end(*one) for one in status["source_details"].get("front_ends", {}).items()]
     parts += [_worker(worker) for worker in status["workers"]]
     parts += [
         Text.assemble((f"{sink['name']} ", "dim"), sink["where"], _lost(sink))
@@ -90,17 +89,6 @@ def counts(by_reason: dict[str, int]) -> str:
     """
     listed = ", ".join(f"{reason} {n}" for reason, n in sorted(by_reason.items()) if n)
     return f"{sum(by_reason.values())} ({listed})" if listed else "0"
-
-
-def _front_end(name: str, one: dict[str, Any]) -> Text:
-    clock = one["clock"]
-    wrong = "; ".join(one.get("mismatches", ()))
-    return Text.assemble(
-        ("front-end ", "dim"),
-        f"{one.get('serial', '?')} on {name}: {one['lost']:,} lost, {one['reordered']:,} late, ",
-        f"clock {clock['offset_s']:+.3f} s {clock['drift_ppm']:+.1f} ppm",
-        (f", another array: {wrong}" if wrong else "", "red"),
-    )
 
 
 def _worker(worker: dict[str, Any]) -> Text:

@@ -33,7 +33,7 @@ PAIRS = (
 )
 TEXTBOOK_UES = 96
 STAGES = {
-    "covariance": {"of_snapshots", "covariances", "add"},
+    "covariance": {"of_frames", "add"},
     "search": {"extremum", "find"},
 }
 """Functions of the estimation room whose time, with all that they call, is that of a stage; what is left of

@@ -67,20 +67,6 @@ def test_the_panel_shows_what_matters() -> None:
         assert wanted in text
 
 
-def test_the_panel_tells_of_front_ends() -> None:
-    clock = {"offset_s": 12.3456, "drift_ppm": -3.21, "jumps": 0}
-    one = {
-        "serial": "A1",
-        "lost": 1234,
-        "reordered": 5,
-        "clock": clock,
-        "mismatches": ["antennas = 8, not 4"],
-    }
-    text = rendered(status(source_details={"front_ends": {"/dev/ttyUSB0": one}}), width=160)
-    assert "A1 on /dev/ttyUSB0: 1,234 lost, 5 late, clock +12.346 s -3.2 ppm" in text
-    assert "another array: antennas = 8, not 4" in text
-
-
 def test_the_panel_of_a_node_that_knows_nothing_yet() -> None:
     assert "starting" in rendered(NodeStatus(array="lab").as_dict())
 
