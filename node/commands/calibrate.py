@@ -22,17 +22,21 @@ from numpy.typing import NDArray
 from chachart.config.calibration import load_calibration, save_calibration
 from chachart.node.calibration import Calibration
 from chachart.node.commands.cli import progress
+from chachart.node.counters import Counters
 from chachart.node.csi import CsiBlock
 from chachart.node.errors import SetupError
 from chachart.node.estimation import calibrate
 from chachart.node.geometry import ArrayGeometry
 from chachart.node.recording import RecordingReader
+from chachart.sources.checks import usable
 
 MAX_UES = 256
 """UEs that are compared with the reference; more add nothing."""
 MAX_REFERENCE_FRAMES = 4096
 MAX_PLACES = 64
 PRODUCT_BYTES = 64 << 20
+DEAD = 1e-6
+"""An input with so much less power than the median one is not connected."""
 STANDS_OUT = 3.0
 """An antenna so many times further off than the median one is named ..."""
 MIN_OFF_RAD = np.radians(10.0)
@@ -90,7 +94,7 @@ class Finding:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line of `chachart calibrate`."""
     parser.add_argument("recording", type=Path, metavar="FILE.mcap", help="a capture, as the array gave it")
-    parser.add_argument("--ue", type=int, action="append", default=[], help="a UE whose place is known")
+    parser.add_argument("--ue", type=_ue, action="append", default=[], help="a UE whose place is known")
     parser.add_argument("--position", type=_position, metavar="X,Y,Z", help="its place, world metres")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="CAL.toml", help="where to write the calibration"
@@ -141,7 +145,7 @@ def read(reader: RecordingReader, references: list[int]) -> Capture:
     Raises
     ------
     SetupError
-        If a reference UE is not in it, or it is empty.
+        If a reference UE is not in it, an input measures nothing, or it is empty.
     """
     n = reader.array.antennas
     slots: dict[int, int] = {}
@@ -150,7 +154,11 @@ def read(reader: RecordingReader, references: list[int]) -> Capture:
     kept: list[CsiBlock] = []
     wanted = np.array(references, np.uint64)
     with progress("reading", reader.summary().frames) as advance:
-        for block in reader.blocks():
+        for every in reader.blocks():
+            advance(len(every))
+            block = usable(every, Counters())
+            if block is None:
+                continue
             ues, which = np.unique(block.ue, return_inverse=True)
             for ue in ues.tolist():
                 if ue in references or len(slots) < MAX_UES - len(references):
@@ -168,12 +176,14 @@ def read(reader: RecordingReader, references: list[int]) -> Capture:
             mine = np.isin(block.ue, wanted)
             if mine.any() and sum(map(len, kept)) < MAX_REFERENCE_FRAMES:
                 kept.append(block.take(mine))
-            advance(len(block))
     if not slots:
-        raise SetupError(f"{reader.path} holds no frame")
+        raise SetupError(f"{reader.path} holds no frame that can be used")
     if missing := [ue for ue in references if ue not in slots]:
         some = ", ".join(map(str, sorted(slots)[:10]))
         raise SetupError(f"{reader.path} has no frame of UE {missing[0]}; it has {some}, ...")
+    power = np.einsum("pnn->n", covariance).real
+    if dead := np.flatnonzero(power < DEAD * np.median(power)).tolist():
+        raise SetupError(f"{reader.path}: input {', '.join(map(str, dead))} measures nothing")
     p = len(slots)
     reference = CsiBlock.concatenate(kept) if kept else None
     return Capture(
@@ -312,6 +322,14 @@ def _places(block: CsiBlock | None) -> NDArray[np.float64]:
 def _position(text: str) -> tuple[float, float, float]:
     try:
         x, y, z = (float(word) for word in text.split(","))
+        if not np.isfinite((x, y, z)).all():
+            raise ValueError
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text} is not X,Y,Z in metres") from None
     return x, y, z
+
+
+def _ue(text: str) -> int:
+    if not text.isdecimal() or int(text) >= 1 << 64:
+        raise argparse.ArgumentTypeError(f"{text} is no UE id (0 to 2^64 - 1)")
+    return int(text)

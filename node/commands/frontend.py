@@ -69,11 +69,13 @@ def run(arguments: argparse.Namespace) -> int:
         faults = FaultSettings.model_validate(
             {name: getattr(arguments, name) for name in FaultSettings.model_fields}
         )
+        source = _source(arguments)
+        link = _link(arguments)
     except ValidationError as error:
         first = error.errors()[0]
-        raise SetupError(f"--{str(first['loc'][0]).replace('_', '-')}: {first['msg']}") from None
-    source = _source(arguments)
-    link = _link(arguments)
+        option = str(first["loc"][0]).replace("_", "-") if first["loc"] else "id"
+        option = "can" if option in ("interface", "channel") else option
+        raise SetupError(f"--{option}: {first['msg']}") from None
     for name in (signal.SIGINT, signal.SIGTERM):
         signal.signal(name, lambda *_: link.stopping.set())
     print(f"front-end on {link.where}", flush=True)
@@ -122,8 +124,9 @@ def _link(arguments: argparse.Namespace) -> Link:
     interface, colon, channel = arguments.can.partition(":")
     if not colon:
         raise SetupError(f"--can {arguments.can}: must be INTERFACE:CHANNEL, such as socketcan:can0")
+    address = FrontEndAddress(id=arguments.id, reply_id=arguments.reply_id)
     try:
-        [address] = distinct((FrontEndAddress(id=arguments.id, reply_id=arguments.reply_id),))
+        distinct((address,))
     except ValueError as error:
         raise SetupError(f"--id, --reply-id: {error}") from None
     settings = CanBusSettings(

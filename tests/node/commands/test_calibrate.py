@@ -181,6 +181,38 @@ def test_a_calibration_in_the_configuration_goes_before_the_recordings_own(tmp_p
         resolve_array(ArraySettings(**table, antenna_order=(1, 0)), Recording, source)
 
 
+def test_a_cable_that_is_not_connected_is_named(tmp_path, capsys, clean):
+    csi = clean.csi.copy()
+    csi[:, 5] = 0
+    path = recorded(tmp_path / "capture.mcap", replace(clean, csi=csi))
+    assert main(["calibrate", path, "--ue", str(REFERENCE)]) == 78
+    assert "input 5 measures nothing" in capsys.readouterr().err
+
+
+def test_frames_of_nonsense_are_passed_over(tmp_path, clean):
+    block = faulty(clean, [(3, 17)])
+    csi = block.csi.copy()
+    csi[::50] = np.nan
+    path = tmp_path / "capture.mcap"
+    recorded(path, replace(block, csi=csi))
+    report, _ = calibrated(path, "--ue", str(REFERENCE))
+    assert report["swapped"] == [[3, 17]]
+
+
+def test_a_recording_without_frames_is_said_so(tmp_path, capsys):
+    with RecordingWriter(tmp_path / "empty.mcap", ARRAY):
+        pass
+    assert main(["calibrate", str(tmp_path / "empty.mcap"), "--ue", "1"]) == 78
+    assert "holds no frame that can be used" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["--ue", "-1"], ["--ue", str(1 << 64)], ["--position", "1,2"]])
+def test_what_is_no_number_is_refused(capsys, arguments):
+    with pytest.raises(SystemExit):
+        main(["calibrate", "x.mcap", *arguments])
+    assert "Traceback" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

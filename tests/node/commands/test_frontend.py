@@ -18,6 +18,10 @@ from chachart.node.commands.main import main
         (["--serial", "pty", "--drop", "2"], "--drop"),
         (["--serial", "pty", "--format", "int12"], "--format"),
         (["missing.mcap", "--serial", "pty"], "missing.mcap"),
+        (["missing.mcap", "--serial", "pty", "--speed", "-1"], "--speed: "),
+        (["--can", "virtual:x", "--id", "0x20000000"], "--id: "),
+        (["--can", ":x"], "--can: "),
+        (["--serial", "pty", "--drop", "nan"], "--drop: "),
         (["--serial", "pty", "--set", "source.uess=3"], "uess"),
     ],
 )
@@ -25,6 +29,7 @@ def test_mistakes_end_in_one_line(capsys, arguments, said):
     assert main(["frontend", *arguments]) == 78
     error = capsys.readouterr().err
     assert said in error
+    assert len(error.splitlines()) == 1
     assert "Traceback" not in error
 
 
