@@ -1,7 +1,7 @@
 """The estimators as a textbook writes them, one UE at a time in plain numpy: what the kernels are held to.
 
-Each takes a sample matrix x (N elements, M snapshots) and the steering vectors a (N, G) of a grid, and
-returns the index of the grid point that the spectrum peaks at.
+A spectrum is aᴴQa over the steering vectors a of a grid; the estimate is its largest or smallest value. It is
+scanned in two ways: as one matrix product a UE, and literally, in a loop over the grid.
 """
 
 from __future__ import annotations
@@ -13,56 +13,62 @@ import numpy as np
 from numpy.typing import NDArray
 
 Complex = NDArray[np.complexfloating[Any, Any]]
+Scan = Callable[[Complex, Complex], NDArray[Any]]
+
+METHODS = ("bartlett", "mvdr", "minnorm", "music")
+LOADING = 0.05
 
 
-def bartlett(x: Complex, a: Complex) -> int:
-    """Largest aᴴ R a."""
-    r = x @ x.conj().T / x.shape[1]
-    return int(np.argmax(np.sum(a.conj() * (r @ a), axis=0).real))
-
-
-def mvdr(x: Complex, a: Complex, loading: float = 0.05) -> int:
-    """Largest 1 / aᴴ R^-1 a, diagonally loaded."""
+def form(method: str, x: Complex, order: int) -> Complex:
+    """Q (N, N) of a method for snapshots x (N, M)."""
     n = len(x)
-    r = x @ x.conj().T / x.shape[1]
-    inverse = np.linalg.inv(r + loading * np.trace(r).real / n * np.eye(n))
-    return int(np.argmax(1 / np.sum(a.conj() * (inverse @ a), axis=0).real))
-
-
-def music(x: Complex, a: Complex, order: int = 1) -> int:
-    """Largest 1 / |E_nᴴ a|^2, E_n the noise eigenvectors."""
-    r = x @ x.conj().T / x.shape[1]
-    noise = np.linalg.eigh(r)[1][:, : len(x) - order]
-    return int(np.argmax(1 / np.sum(np.abs(noise.conj().T @ a) ** 2, axis=0)))
-
-
-def minnorm(x: Complex, a: Complex, order: int = 1) -> int:
-    """Largest 1 / |wᴴ a|^2, w the noise subspace's vector of least norm."""
-    r = x @ x.conj().T / x.shape[1]
-    noise = np.linalg.eigh(r)[1][:, : len(x) - order]
+    r: Complex = x @ x.conj().T / x.shape[1]
+    if method == "bartlett":
+        return r
+    if method == "mvdr":
+        inverse: Complex = np.linalg.inv(r + LOADING * np.trace(r).real / n * np.eye(n))
+        return inverse
+    noise = np.linalg.eigh(r)[1][:, : n - order]
+    if method == "music":
+        projector: Complex = noise @ noise.conj().T
+        return projector
     w = noise @ noise[0].conj()
-    return int(np.argmax(1 / np.abs(w.conj() @ a) ** 2))
+    product: Complex = np.outer(w, w.conj())
+    return product
 
 
-METHODS: dict[str, Callable[..., int]] = {
-    "bartlett": bartlett,
-    "mvdr": mvdr,
-    "minnorm": minnorm,
-    "music": music,
-}
+def scan_at_once(q: Complex, a: Complex) -> NDArray[Any]:
+    """aᴴQa over the columns of a (N, G), as a matrix product."""
+    values: NDArray[Any] = np.sum(a.conj() * (q @ a), axis=0).real
+    return values
 
 
-def pair(
-    csi: Complex, theta: str, rho: str, angle_table: Complex, delay_table: Complex, **options: Any
+def scan_one_by_one(q: Complex, a: Complex) -> NDArray[Any]:
+    """The same, one column after the other."""
+    return np.array([(v.conj() @ q @ v).real for v in a.T])
+
+
+def locate(
+    csi: Complex,
+    methods: tuple[str, str],
+    tables: tuple[Complex, Complex],
+    order: int,
+    scan: Scan = scan_at_once,
 ) -> NDArray[np.intp]:
-    """Grid indices (K, 2) of theta and rho of frames csi (K, N_R, N_S), UE by UE."""
-    options_of = {name: options if name in ("music", "minnorm") else {} for name in METHODS}
+    """Grid indices (K, 2) of theta and rho for frames csi (K, N_R, N_S), UE by UE.
+
+    `tables` holds the steering vectors (N, G) of the angle grid and of the delay grid.
+    """
     return np.array(
         [
-            (
-                METHODS[theta](h, angle_table, **options_of[theta]),
-                METHODS[rho](h.T, delay_table, **options_of[rho]),
-            )
+            [
+                _peak(method, scan(form(method, x, order), table))
+                for method, x, table in zip(methods, (h, h.T), tables, strict=True)
+            ]
             for h in csi
         ]
     )
+
+
+def _peak(method: str, values: NDArray[Any]) -> int:
+    return int(np.argmax(values) if method == "bartlett" else np.argmin(values))
