@@ -79,8 +79,8 @@ def iterate(r: Complex, basis: Complex, snapshots: Real) -> Complex:
     """Orthogonal iteration from `basis` (K, order, N) until the part of B R outside of B's span is small.
 
     Small against sqrt(lambda_i lambda_noise / M), which is how far sampling itself throws R q_i: over the
-    same eigengap both give errors of q_i, so the gap cancels. Vectors within the noise's own bulk of
-    eigenvalues need not converge, any of them is as good as another.
+    same eigengap both give errors of q_i, so the gap cancels. Vectors after the first that look like noise
+    need not converge. The first one always has to: what it still lacks makes it look weaker than it is.
     """
     result = basis
     todo = np.arange(len(r))
@@ -125,7 +125,7 @@ def _unconverged(basis: Complex, onward: Complex, trace: Real, snapshots: Real) 
     value = np.einsum("koo->ko", inner).real
     noise = (np.maximum(trace - value.sum(axis=1), 0) / (n - order))[:, None]
     m = snapshots[:, None]
-    bulk = np.where(np.arange(order) == 0, (1 + np.sqrt(n / m)) ** 2, NOISE_LIKE) * noise
+    bulk = np.where(np.arange(order) == 0, 0, NOISE_LIKE) * noise
     allowed = TOLERANCE**2 * value * noise / m + (_ROUNDING * trace[:, None]) ** 2
     moving: NDArray[np.bool_] = ((value > bulk) & (residual > allowed)).any(axis=1)
     return moving
