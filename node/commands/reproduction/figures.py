@@ -220,7 +220,7 @@ def accuracy(measured: Sequence[Accuracy]) -> Drawing:
         figure.legend(
             *panels[0].get_legend_handles_labels(),
             loc="outside lower center",
-            ncols=len(markers) + 2,
+            ncols=len(markers) + 2 if len(measured) > 2 else 4,
             fontsize=8,
         )
         return figure
