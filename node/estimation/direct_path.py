@@ -43,6 +43,8 @@ CROWDING = 30.0
 """Echoes crowd around the direct path: their power shifts its peak so many times as much as spread evenly."""
 SPREAD_DOUBT = 0.8
 """Squint and curvature explain away no more than the rest of the noise: simulated waves may have neither."""
+LEAST_NOISE = 1e-7
+"""Of the whole power: what single precision adds."""
 FLOOR_POINTS = 256
 """About so many of the spectrum's points tell its noise."""
 
@@ -120,8 +122,10 @@ class DirectPath:
         u, v = self._parabola(power, self._select(power, peaks, floor))
         u, v, top, u_var, v_var = self._newton(power, u, v)
         n = self._elements
-        rest = (power.mean(axis=(1, 2), dtype=np.float64) - top / n) / (n - 1)
-        noise = np.minimum(floor / n, rest)
+        total = power.mean(axis=(1, 2), dtype=np.float64)
+        least = LEAST_NOISE * total / n
+        rest = np.maximum((total - top / n) / (n - 1), least)
+        noise = np.clip(floor / n, least, rest)
         rest = np.maximum(rest - self._spread(u, v) * top / n**2, SPREAD_DOUBT * noise)
         noise = np.minimum(noise, rest)
         path = np.maximum(top / n - noise, 1e-3 * noise)
@@ -223,7 +227,8 @@ class DirectPath:
         """u and v (U,) of the vertices of parabolas through the logarithms around grid points `cell` (U,)."""
         a, d = self.periodogram.grid
         start = np.arange(len(power)) * self._cross.shape[1]
-        here, before_u, after_u, before_v, after_v = np.log(power.reshape(-1)[start + self._cross[:, cell]])
+        height = np.maximum(power.reshape(-1)[start + self._cross[:, cell]], np.finfo(np.float32).tiny)
+        here, before_u, after_u, before_v, after_v = np.log(height)
         i, j = np.divmod(cell, d)
         u = (i + _vertex(before_u, here, after_u)) * (2 * np.pi / a)
         v = (j + _vertex(before_v, here, after_v)) * (2 * np.pi / d)

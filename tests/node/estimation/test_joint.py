@@ -395,3 +395,24 @@ def test_reference_channels(channels: str, least: float) -> None:
     )
     assert near.tw >= least
     assert near.ct >= least
+
+
+@pytest.mark.parametrize("phase", ["auto", "random"])
+@pytest.mark.parametrize("rho_max_m", [1000.0, 200.0])
+def test_frames_without_any_noise_or_structure(los: Build, phase: str, rho_max_m: float) -> None:
+    array = los(2, **WIDE).array
+    csi = np.zeros((6, 32, 32), np.complex64)
+    csi[0] = 1  # the spectrum is exactly 0 at most points
+    csi[1, 3, 4] = 1  # it is the same everywhere
+    csi[2, 3] = 1j
+    csi[3, :, 4] = 1e-13
+    csi[4] = (-1.0) ** np.arange(32) * 1e12
+    csi[5] = one_path(array, np.array([150.0])).waves[0, 0]
+    block = CsiBlock("lab", 0, np.arange(6, dtype=np.uint64), np.zeros(6, np.int64), csi)
+    estimator = ChartEstimator(array, **JOINT, phase=phase, rho_max_m=rho_max_m)
+    for _ in range(3):
+        update = estimator.update(block)
+        assert len(update) == 6
+        for name in ("theta", "rho", "theta_std", "rho_std", "snr"):
+            assert np.isfinite(getattr(update, name)).all(), name
+    assert update.rho[5] == pytest.approx(150, abs=0.1)
