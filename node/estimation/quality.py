@@ -14,25 +14,30 @@ standard error.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from chachart.node.chart import ChartUpdate
 from chachart.node.geometry import ArrayGeometry
 
 Points = NDArray[np.float64]
-Real = NDArray[np.floating[Any]]
 
 DEFAULT_K_SHARE = 0.05
 TARGET_ERROR = 8e-4
 """Sampling stops once both standard errors are below this ..."""
-MOST_ANCHORS = 2048
+MOST_ANCHORS = 4096
 """... or after so many anchors."""
 
-_FEWEST_ANCHORS = 64
+UNIVERSE = 8192
+"""Sampled, neighbours are ranked among so many points, or as many more as leave 100 neighbours."""
+
+_FEWEST_ANCHORS = 128
+_FEWEST_NEIGHBOURS = 100
 _CHUNK_BYTES = 1 << 19
 
 
@@ -105,8 +110,9 @@ def neighbourhoods(
     k
         Neighbours; None is 5 % of N.
     rng
-        Draws anchors until both standard errors are below `TARGET_ERROR`, and compares distances in single
-        precision; None takes every point, exactly.
+        Draws anchors until both standard errors are below `TARGET_ERROR`. Of a large chart it first draws
+        `UNIVERSE` points to rank, and takes as much smaller a k: what counts is the share k / N. None takes
+        every point, exactly.
 
     Raises
     ------
@@ -120,11 +126,14 @@ def neighbourhoods(
         k = max(round(DEFAULT_K_SHARE * n), 1)
     if not 1 <= k < n / 2:
         raise ValueError(f"k must be at least 1 and below half the {n} UEs with a known position, not {k}")
-    spaces = [truth.astype(np.float64), chart.astype(np.float64)]
-    order = np.arange(n)
+    asked, spaces, order = k, [truth.astype(np.float64), chart.astype(np.float64)], np.arange(n)
     if rng is not None:
-        spaces = [(s - s.mean(axis=0)).astype(np.float32) for s in spaces]
-        order = rng.permutation(n)[:MOST_ANCHORS]
+        order = rng.permutation(n)
+        universe = max(UNIVERSE, math.ceil(_FEWEST_NEIGHBOURS * n / k))
+        if n > universe:
+            k, n, spaces = round(k * universe / n), universe, [s[order[:universe]] for s in spaces]
+            order = np.arange(universe)
+        order = order[:MOST_ANCHORS]
     step = max(_CHUNK_BYTES // (8 * n), 1)
     scale = 2 / (k * (2 * n - 3 * k - 1))
     penalties = np.zeros((0, 2))
@@ -138,7 +147,7 @@ def neighbourhoods(
             break
     tw, ct = 1 - scale * penalties.mean(axis=0)
     tw_error, ct_error = scale * _error(penalties, n)
-    return Neighbourhoods(float(tw), float(ct), k, float(tw_error), float(ct_error), len(penalties))
+    return Neighbourhoods(float(tw), float(ct), asked, float(tw_error), float(ct_error), len(penalties))
 
 
 def kruskal_stress(truth: Points, chart: Points, *, most: int = 4096) -> float:
@@ -159,8 +168,8 @@ def kruskal_stress(truth: Points, chart: Points, *, most: int = 4096) -> float:
     dd = de = ee = 0.0
     step = max(_CHUNK_BYTES // (8 * len(pick)), 1)
     for i in range(0, len(pick), step):
-        rows = np.arange(i, min(i + step, len(pick)))
-        d, e = np.sqrt(_squared_distances(truth, rows)), np.sqrt(_squared_distances(chart, rows))
+        rows = slice(i, i + step)
+        d, e = cdist(truth[rows], truth), cdist(chart[rows], chart)
         dd += float(np.vdot(d, d))
         de += float(np.vdot(d, e))
         ee += float(np.vdot(e, e))
@@ -206,21 +215,11 @@ def _error(penalties: Points, n: int) -> Points:
     return error
 
 
-def _squared_distances(points: Real, rows: NDArray[np.intp]) -> Real:
-    """(rows, N) from differences: exact for equal points, unlike the cheaper expansion of the square."""
-    total = np.square(points[rows, 0, None] - points[:, 0])
-    for d in range(1, points.shape[1]):
-        difference = points[rows, d, None] - points[:, d]
-        np.square(difference, out=difference)
-        total += difference
-    return total
-
-
-def _penalties(truth: Real, chart: Real, anchors: NDArray[np.intp], k: int) -> Points:
+def _penalties(truth: Points, chart: Points, anchors: NDArray[np.intp], k: int) -> Points:
     """Sums of r - K over each anchor's intruders (TW) and its missed neighbours (CT), (anchors, 2)."""
     distances = []
     for space in (truth, chart):
-        d = _squared_distances(space, anchors)
+        d = cdist(space[anchors], space, "sqeuclidean")
         d[np.arange(len(anchors)), anchors] = -1  # the point itself comes first, whatever coincides with it
         distances.append(d)
     ordered = [np.sort(d, axis=1) for d in distances]
@@ -233,7 +232,7 @@ def _penalties(truth: Real, chart: Real, anchors: NDArray[np.intp], k: int) -> P
     return result
 
 
-def _nearest(d: Real, ordered: Real, k: int) -> NDArray[np.bool_]:
+def _nearest(d: Points, ordered: Points, k: int) -> NDArray[np.bool_]:
     """Which points are the row's own and its K nearest; of equals, those of lower index."""
     limit = ordered[:, k, None]
     near = d <= limit
@@ -244,7 +243,7 @@ def _nearest(d: Real, ordered: Real, k: int) -> NDArray[np.bool_]:
     return near
 
 
-def _ranks(d: Real, ordered: Real, row: NDArray[np.intp], point: NDArray[np.intp]) -> NDArray[np.intp]:
+def _ranks(d: Points, ordered: Points, row: NDArray[np.intp], point: NDArray[np.intp]) -> NDArray[np.intp]:
     """How many of the row's points come before `point`, the row's own included: its rank, by bisection."""
     n = d.shape[1]
     value = d[row, point]
