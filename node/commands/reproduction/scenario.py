@@ -27,6 +27,8 @@ KNOWN_UES = 256
 """So many UEs come with their position, in the first block: the training set of LR."""
 BLOCK_UES = 64
 """UEs of each further block: their frames and covariances stay in the processor's cache."""
+MOST_BYTES = 4_000_000_000
+"""Of noisy frames, which are kept in memory."""
 _NOISE_STREAM, _TRAINING_STREAM = 2, 3
 
 
@@ -137,9 +139,19 @@ def noisy(csi: NDArray[np.complex64], frames: int, snr_db: float, seed: int) -> 
     """`frames` times the channels (U, N_R, N_S), each with white noise of its own: (U, frames, N_R, N_S).
 
     The SNR is that of a channel of mean |h|^2 = 1.
+
+    Raises
+    ------
+    SetupError
+        If that takes more than `MOST_BYTES`.
     """
     rng = np.random.default_rng([seed, _NOISE_STREAM])
     u, *shape = csi.shape
+    if (needed := csi.nbytes * frames) > MOST_BYTES:
+        raise SetupError(
+            f"{frames} frames of {u} UEs take {needed / 1e9:.0f} GB, more than {MOST_BYTES / 1e9:.0f}: "
+            "fewer frames or UEs would do"
+        )
     reals: NDArray[Any] = rng.standard_normal((u, frames, *shape, 2), np.float32)
     reals *= np.float32(np.sqrt(0.5 * 10 ** (-snr_db / 10)))
     out: NDArray[np.complex64] = reals.view(np.complex64)[..., 0]

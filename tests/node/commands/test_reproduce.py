@@ -149,6 +149,7 @@ def test_recorded_channels_take_the_place_of_the_model(tmp_path: Path) -> None:
         (["--set", "estimator.theta=music"], "--pairs"),
         (["--set", "workers.count=2"], "[estimator]"),
         (["--ues", "100000"], "at most"),
+        (["--frames", "10000000"], "fewer frames"),
     ],
 )
 def test_mistakes_are_told_in_a_line(
