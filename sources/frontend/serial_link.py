@@ -17,7 +17,8 @@ from chachart.node.errors import SetupError
 from chachart.sources.frontend.device import Link, damaged
 from chachart.sources.frontend.framing import encode_frame
 
-DRAIN_S = 10.0
+PATIENCE_S = 1.0
+"""A reader that has taken nothing for so long takes nothing more."""
 
 
 class PtyLink(Link):
@@ -98,13 +99,16 @@ class PtyLink(Link):
         return True
 
     def unplug(self) -> None:
-        """Wait until the other end has read everything, then hang up."""
+        """Wait until the other end has read everything, or reads no more, then hang up."""
         if self._master < 0:
             return
-        deadline, empty = time.monotonic() + DRAIN_S, 0
+        unread, empty, deadline = -1, 0, time.monotonic() + PATIENCE_S
         while self._listening and empty < 3 and time.monotonic() < deadline:
-            empty = 0 if self._unread() else empty + 1
-            self.stopping.wait(0.01)
+            before, unread = unread, self._unread()
+            empty = 0 if unread else empty + 1
+            if unread != before:
+                deadline = time.monotonic() + PATIENCE_S
+            time.sleep(0.01)
         os.close(self._master)
         self._master, self._terminal, self._listening = -1, "", False
         if self._symlink is not None:
