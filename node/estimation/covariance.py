@@ -207,5 +207,7 @@ class LagSums:
 
 def forward_backward(r: Complex) -> Complex:
     """Mean of Hermitian R (K, N, N) and its conjugate mirror image J R* J."""
-    mean: Complex = (r + r[:, ::-1, ::-1].conj()) / 2
-    return mean
+    both: Complex = r + r[:, ::-1, ::-1].conj()
+    reals = both.view(both.real.dtype)
+    reals *= reals.dtype.type(0.5)
+    return both

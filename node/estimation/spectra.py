@@ -31,8 +31,9 @@ def mvdr(r: Complex, loading: float) -> Complex:
     With the Cholesky factor L, X = L^-H. A plain inverse would lose the null's depth in single precision.
     """
     n = r.shape[-1]
-    level = np.trace(r, axis1=1, axis2=2).real / n
-    scaled = r / level[:, None, None]
+    per_level = n / np.einsum("kii->k", r).real
+    reals = np.ascontiguousarray(r).view(r.real.dtype)
+    scaled: Complex = (reals * per_level[:, None, None]).view(r.dtype)
     scaled[:, np.arange(n), np.arange(n)] += r.real.dtype.type(loading)
     return inverse_cholesky(scaled).conj().swapaxes(1, 2)
 
