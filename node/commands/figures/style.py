@@ -87,7 +87,9 @@ def share_axis(axes: Axes, which: str) -> None:
     scale("log")
     axis: Any = axes.yaxis if which == "y" else axes.xaxis
     axis.set_inverted(True)
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    low, high = sorted(axis.get_view_interval())
+    wide = which == "x" and high > 30 * low  # more marks would run into each other
+    axis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda v, _: f"{1 - v:.6f}".rstrip("0").removeprefix("0")))
     axes.grid(True, which="major")
