@@ -99,13 +99,13 @@ class ChartEstimator:
         """Take a block; returns one row per UE of it, in order of first appearance.
 
         Frames that carry nothing or nonsense are counted in `rejected` and not used; a UE of which no frame
-        is left has no row.
-
-        Raises
-        ------
-        ValueError
-            If the block has more UEs than `max_ues`.
+        is left has no row. A block of more frames than `max_ues` is taken in pieces; a UE then has the row of
+        its last piece, in that place.
         """
+        if len(block) > self.options.max_ues:
+            starts = np.arange(self.options.max_ues, len(block), self.options.max_ues)
+            pieces = np.split(np.arange(len(block)), starts)
+            return ChartUpdate.concatenate([self.update(block.take(piece)) for piece in pieces])
         if block.csi.shape[1:] != (self.array.antennas, self.array.subcarriers):
             self.rejected.add("shape", len(block))
             return self._nothing()

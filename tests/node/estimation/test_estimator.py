@@ -156,6 +156,15 @@ def test_the_longest_unseen_makes_room_and_comes_back_afresh(los: Build) -> None
     assert estimator.update(world.block(0.0, np.array([0]), time_ns=9)).snapshots.tolist() == [1.0]
 
 
+def test_a_block_of_more_ues_than_are_kept(los: Build) -> None:
+    world = los(6)
+    estimator = ChartEstimator(world.array, max_ues=2)
+    update = estimator.update(world.block(20.0, np.array([0, 1, 2, 3, 3, 4, 5])))
+    assert update.ue.tolist() == [0, 1, 2, 3, 4, 5]
+    assert np.isfinite(update.theta).all()
+    assert estimator.ues == 2
+
+
 def test_exponential_averaging_follows_a_ue_that_moves(los: Build, truth: Build) -> None:
     world = los(2, far=True)
     estimator = ChartEstimator(world.array, memory_frames=4.0)
