@@ -116,7 +116,7 @@ class EstimatorSettings(Settings):
     """Distance method: a spectral one across subcarriers, an amplitude one (isq, lr), or joint."""
     averaging: Literal["mean", "exponential"] = "exponential"
     """`mean` weighs all frames alike (UEs that stand still); `exponential` forgets (UEs that move)."""
-    memory_frames: float = Field(32.0, gt=0)
+    memory_frames: float = Field(32.0, ge=1)
     """Effective number of frames that `exponential` averaging remembers."""
     signal_order: int | Literal["threshold", "mdl"] = 1
     """Signal subspace of MUSIC and Min-Norm: a fixed order, an eigenvalue threshold, or MDL."""
@@ -126,9 +126,9 @@ class EstimatorSettings(Settings):
     """Average each covariance with its conjugate mirror image."""
     loading: float = Field(0.05, ge=0)
     """Diagonal loading of MVDR, as a fraction of the mean eigenvalue."""
-    theta_step_deg: float | None = Field(None, gt=0, le=10)
+    theta_step_deg: float | None = Field(None, ge=0.01, le=10)
     """Angle grid before refinement; where not set, as coarse as the refinement allows."""
-    rho_step_m: float | None = Field(None, gt=0)
+    rho_step_m: float | None = Field(None, ge=0.01)
     """Range grid before refinement; where not set, as coarse as the refinement allows."""
     rho_max_m: float = Field(1000.0, gt=0)
     """Farthest range that is searched; never beyond the unambiguous c / subcarrier_spacing_hz."""

@@ -23,6 +23,8 @@ def bind(socket: zmq.Socket[Any], endpoint: str) -> str:
     SetupError
         If the endpoint is in use or does not exist here.
     """
+    if not _port_exists(endpoint):
+        raise SetupError(f"cannot listen on {endpoint}: a port is a number from 0 to 65535")
     if _ipc_in_use(endpoint):
         raise SetupError(f"cannot listen on {endpoint}: Address already in use")
     try:
@@ -40,6 +42,8 @@ def connect(socket: zmq.Socket[Any], endpoint: str) -> str:
     SetupError
         If the endpoint makes no sense.
     """
+    if not _port_exists(endpoint):
+        raise SetupError(f"cannot connect to {endpoint}: a port is a number from 1 to 65535")
     try:
         socket.connect(endpoint)
     except zmq.ZMQError as error:
@@ -55,6 +59,12 @@ def bind_problems(endpoint: str) -> list[str]:
         except SetupError as error:
             return [str(error)]
     return []
+
+
+def _port_exists(endpoint: str) -> bool:
+    """Whether a `tcp://` port fits into 16 bits: ZeroMQ itself would take the rest of a larger number."""
+    port = endpoint.rpartition(":")[2]
+    return not (endpoint.startswith("tcp://") and port.isdigit() and int(port) > 65535)
 
 
 def _ipc_in_use(endpoint: str) -> bool:

@@ -92,7 +92,8 @@ class Options:
         self._within("newton_steps", 0, 20)
         self._within("lr_train_ues", 2)
         self._within("max_ues", 1)
-        for name in ("memory_frames", "theta_step_deg", "rho_step_m", "rho_max_m", "forget_after_s"):
+        self._within("memory_frames", 1)
+        for name in ("theta_step_deg", "rho_step_m", "rho_max_m", "forget_after_s"):
             self._within(name, 0, strict=True)
         if self.isq_reference is not None and not all(math.isfinite(v) and v > 0 for v in self.isq_reference):
             raise ValueError(f"isq_reference must be two positive numbers, not {self.isq_reference}")

@@ -25,10 +25,12 @@ class JsonFormatter(logging.Formatter):
 
 
 def set_up(form: Literal["text", "json"], level: int, handler: logging.Handler | None = None) -> None:
-    """Send all log records to stderr in that form, or to a `handler` that has its own."""
+    """Send all log records to stderr in that form, or to a `handler` that shows time and level by itself."""
     if handler is None:
         handler = logging.StreamHandler()
         lines = logging.Formatter("%(asctime)s %(levelname)-7s %(message)s", "%H:%M:%S")
         handler.setFormatter(JsonFormatter() if form == "json" else lines)
+    else:
+        handler.setFormatter(logging.Formatter("%(message)s"))
     logging.basicConfig(level=level, handlers=[handler], force=True)
     logging.captureWarnings(True)

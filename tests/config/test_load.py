@@ -69,6 +69,12 @@ def test_every_section(toml_file: Write) -> None:
         ('[estimator]\nrho = "joint"', 'estimator.theta = "bartlett": must be "joint" as rho is'),
         ('[estimator]\ntheta = "joint"', 'estimator.rho = "bartlett": must be "joint" as theta is'),
         ("[estimator]\nrho_step_m = 2000", "estimator.rho_step_m = 2000.0: must be at most rho_max_m = 1000"),
+        ("[estimator]\nrho_step_m = 1e-9", "estimator.rho_step_m = 1e-9: must be a number >= 0.01"),
+        (
+            "[estimator]\ntheta_step_deg = 1e-9",
+            "estimator.theta_step_deg = 1e-9: must be a number from 0.01 to",
+        ),
+        ("[estimator]\nmemory_frames = 0.5", "estimator.memory_frames = 0.5: must be a number >= 1"),
         (
             "[array]\nsubcarrier_spacing_hz = 312500\n[estimator]\nrho_max_m = 1000",
             "estimator.rho_max_m = 1000.0: must be at most c / array.subcarrier_spacing_hz = 959.3",

@@ -175,6 +175,8 @@ def test_ctrl_c_in_a_terminal(run_node: RunNode, tmp_path: Path) -> None:
     assert process.returncode == 0
     assert b"Traceback" not in shown
     assert b"died" not in shown
+    assert b"draining" in shown
+    assert b"INFO:chachart" not in shown  # the level stands in a column of its own
 
 
 def test_duration_ends_it(run_node: RunNode) -> None:

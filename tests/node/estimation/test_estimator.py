@@ -25,7 +25,7 @@ def test_options_are_the_settings() -> None:
         ("theta", "bartlet"),
         ("rho", "fft"),
         ("averaging", "median"),
-        ("memory_frames", 0.0),
+        ("memory_frames", 0.5),
         ("memory_frames", float("nan")),
         ("signal_order", 0),
         ("signal_order", "aic"),
