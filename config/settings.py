@@ -13,7 +13,6 @@ from chachart.config.model import Settings
 from chachart.node.calibration import Calibration
 from chachart.node.geometry import SPEED_OF_LIGHT, ArrayGeometry, Vector
 
-SpectralMethod = Literal["bartlett", "mvdr", "minnorm", "music"]
 ThetaMethod = Literal["bartlett", "mvdr", "minnorm", "music", "joint"]
 RhoMethod = Literal["bartlett", "mvdr", "minnorm", "music", "joint", "isq", "lr"]
 

@@ -51,18 +51,21 @@ def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
         yield lambda steps: bar.advance(task, steps)
 
 
-def check_writable(path: Path, force: bool) -> None:
+def check_writable(path: Path, force: bool, source: Path | None = None) -> None:
     """Tell early that a file cannot be written.
 
     Raises
     ------
     SetupError
-        If its folder is not there, or it exists and must not be replaced.
+        If its folder is not there, or it exists and must not be replaced: without `force` or, where it is
+        the `source` that the command reads, at all.
     """
     if not path.parent.is_dir():
         raise SetupError(f"{path} cannot be written: there is no such folder")
     if path.exists() and not force:
         raise SetupError(f"{path} exists already; --force replaces it")
+    if source is not None and path.exists() and source.exists() and path.samefile(source):
+        raise SetupError(f"{path} is the file that is read; it cannot be the one that is written as well")
 
 
 @contextmanager

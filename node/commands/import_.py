@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
     SetupError
         If the capture, a variable or an option does not fit.
     """
-    check_writable(arguments.recording, arguments.force)
+    check_writable(arguments.recording, arguments.force, arguments.capture)
     if not (math.isfinite(arguments.rate) and arguments.rate > 0):
         raise SetupError(f"--rate {arguments.rate:g}: must be a number > 0")
     if arguments.snr_db is not None and not math.isfinite(arguments.snr_db):

@@ -18,6 +18,7 @@ from typing import Any
 from rich.console import Console
 from rich.live import Live
 from rich.logging import RichHandler
+from rich.padding import Padding
 
 from chachart.config.load import load
 from chachart.node.errors import EX_CONFIG, SetupError
@@ -31,6 +32,8 @@ log = logging.getLogger(__name__)
 PANEL_EVERY_S = 0.25
 LINE_EVERY_S = 5.0
 POLL_S = 0.05
+ROOM_FOR_CTRL_C = (0, 2, 0, 0)
+"""Columns right of the panel, so that the terminal's `^C` does not begin a line that nobody wipes."""
 SWITCH_INTERVAL_S = 0.0005
 """Sinks must not keep new charts waiting for the interpreter as long as Python's 5 ms."""
 
@@ -79,7 +82,10 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _seconds(text: str) -> float:
-    seconds = float(text)
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
     if not 0 < seconds < math.inf:
         raise argparse.ArgumentTypeError(f"must be a positive number of seconds, not {text}")
     return seconds
@@ -112,7 +118,11 @@ def _run(plan: Plan, options: argparse.Namespace) -> int:
     live = None
     if console.is_terminal and options.log_format == "text":
         live = Live(console=console, auto_refresh=False, transient=True)
-        logs.set_up("text", options.log_level, RichHandler(console=console, show_path=False))
+        logs.set_up(
+            "text",
+            options.log_level,
+            RichHandler(console=console, show_path=False, log_time_format="[%H:%M:%S]"),
+        )
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     node = Node(plan, logging.getLevelNamesMapping()[options.log_level])
     signals = _Signals(node)
@@ -127,18 +137,21 @@ def _run(plan: Plan, options: argparse.Namespace) -> int:
                 node,
                 signals,
                 options.duration,
-                lambda status: live.update(panel(status), refresh=True),
+                lambda status: live.update(Padding(panel(status), ROOM_FOR_CTRL_C), refresh=True),
                 PANEL_EVERY_S,
             )
     summary = node.close()
     for text in summary_lines(summary):
         print(text)
+    failures = [] if node.failure is None else [node.failure]
     if options.summary is not None:
-        options.summary.write_text(json.dumps(summary, indent=2) + "\n")
-    if node.failure is not None:
-        print(node.failure, file=sys.stderr)
-        return 1
-    return 0
+        try:
+            options.summary.write_text(json.dumps(summary, indent=2) + "\n")
+        except OSError as error:
+            failures.append(f"--summary {options.summary}: cannot be written: {error.strerror}")
+    for failure in failures:
+        print(failure, file=sys.stderr)
+    return 1 if failures else 0
 
 
 def _follow(

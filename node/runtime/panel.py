@@ -78,6 +78,11 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     ]
     if quality is not None:
         lines.append(f"TW {_figure(quality['tw'])} CT {_figure(quality['ct'])} (K = {quality['k']})")
+    lines += [
+        f"sink {sink['name']} ({sink['where']}): dropped {counts(sink['dropped'])}, {sink['errors']} errors"
+        for sink in summary["sinks"]
+        if sink["dropped"] or sink["errors"]
+    ]
     return lines
 
 

@@ -118,10 +118,7 @@ class SinkThread:
             self._opened.set()
         while self._round():
             pass
-        try:
-            self.sink.close()
-        except Exception:
-            log.exception("sink %s failed to close", self.name)
+        self._call(self.sink.close)
 
     def _round(self) -> bool:
         """Hand over what waits, or tick; False when closing and nothing is left."""
@@ -151,10 +148,19 @@ class SinkThread:
     def _call(self, method: Any, *arguments: Any, frames: int = 0) -> None:
         try:
             method(*arguments)
+        except OSError as error:  # a full disk, for instance: one line says all
+            if self._failed(frames):
+                log.error("sink %s: %s failed: %s", self.name, method.__name__, error)
         except Exception as error:
-            self.errors += 1
-            if frames:
-                self.dropped.add("sink_failed", frames)
-            if time.monotonic() >= self._complained + COMPLAIN_EVERY_S:
-                self._complained = time.monotonic()
+            if self._failed(frames):
                 log.exception("sink %s: %s failed: %s", self.name, method.__name__, error)
+
+    def _failed(self, frames: int) -> bool:
+        """Count a failure; whether it is time to complain about it."""
+        self.errors += 1
+        if frames:
+            self.dropped.add("sink_failed", frames)
+        if time.monotonic() < self._complained + COMPLAIN_EVERY_S:
+            return False
+        self._complained = time.monotonic()
+        return True

@@ -188,6 +188,13 @@ def test_duration_ends_it(run_node: RunNode) -> None:
     assert {"time", "level", "logger", "message"} <= set(records[0])
 
 
+def test_a_summary_that_the_disk_refuses(run_node: RunNode) -> None:
+    node = run_node(LIVE, "--duration", "0.2", "--summary", "/dev/full")
+    assert node.finish() == 1
+    assert "--summary /dev/full: cannot be written: No space left on device" in node.said()
+    assert "Traceback" not in node.said()
+
+
 @pytest.mark.parametrize("arguments", [("--check",), ()])
 def test_mistakes_are_told_at_once_and_without_traceback(
     run_node: RunNode, capture: Path, arguments: tuple[str, ...]

@@ -195,3 +195,14 @@ def test_a_dichasus_file_from_end_to_end(tmp_path: Path) -> None:
     np.testing.assert_array_equal(block.csi, CSI.astype(np.complex64))
     np.testing.assert_array_equal(block.position, POSITION.astype(np.float32))
     np.testing.assert_array_equal(block.time_ns, np.arange(100) * 500_000_000)
+
+
+def test_the_capture_is_never_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = tmp_path / "in.npz"
+    np.savez(source, H=CSI)
+    before = source.read_bytes()
+    assert (
+        main(["import", str(source), str(source), *BASE, "--axes", "ue,antenna,subcarrier", "--force"]) == 78
+    )
+    assert "is the file that is read" in capsys.readouterr().err
+    assert source.read_bytes() == before

@@ -36,8 +36,8 @@ def status(**changes: Any) -> dict[str, Any]:
             {"shard": 1, "pid": None, "restarts": 2, "ues": 0},
         ],
         "sinks": [
-            {"name": "publisher", "where": "tcp://127.0.0.1:5556", "dropped": {}},
-            {"name": "chart_log", "where": "chart.mcap", "dropped": {"sink_failed": 7}},
+            {"name": "publisher", "where": "tcp://127.0.0.1:5556", "dropped": {}, "errors": 0},
+            {"name": "chart_log", "where": "chart.mcap", "dropped": {"sink_failed": 7}, "errors": 2},
         ],
     }
     return NodeStatus(**{**values, **changes}).as_dict()
@@ -84,8 +84,11 @@ def test_the_summary() -> None:
     lines = summary_lines(report)
     assert lines[0] == "frames in 51000, estimated 50900, dropped 60 (queue_full 60), rejected 0"
     assert "p99 –" in lines[1]
-    assert lines[2] == "TW 0.9998 CT 0.9996 (K = 102)"
-    assert len(summary_lines(summary(status(quality=None), {"p50": None, "p99": None}))) == 2
+    assert lines[2:] == [
+        "TW 0.9998 CT 0.9996 (K = 102)",
+        "sink chart_log (chart.mcap): dropped 7 (sink_failed 7), 2 errors",
+    ]
+    assert len(summary_lines(summary(status(quality=None, sinks=[]), {"p50": None, "p99": None}))) == 2
 
 
 def test_counts_leave_zeros_out() -> None:

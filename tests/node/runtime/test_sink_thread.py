@@ -55,6 +55,8 @@ class Notebook(Sink):
         self.ticks += 1
 
     def close(self) -> None:
+        if self.failing:
+            raise self.failing
         self.closed = True
 
     def _wait(self) -> None:
@@ -162,6 +164,17 @@ def test_a_failing_sink_is_counted_and_goes_on(
     until(lambda: len(notebook.charts) == 1)
     assert thread.dropped.as_dict() == {"sink_failed": 2}
     assert "No space left on device" in caplog.text
+    assert "Traceback" not in caplog.text
+
+
+def test_a_failure_to_close_is_counted(notebook: Notebook, caplog: pytest.LogCaptureFixture) -> None:
+    thread = SinkThread(notebook, "notebook", 1)
+    thread.open(None)
+    notebook.failing = RuntimeError("driver is broken")
+    thread.close(DEADLINE_S)
+    assert thread.status()["errors"] == 1
+    assert "driver is broken" in caplog.text
+    assert "Traceback" in caplog.text
 
 
 def test_only_the_latest_report_counts(notebook: Notebook, started: Callable[..., SinkThread]) -> None:
