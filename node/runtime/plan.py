@@ -64,8 +64,21 @@ class Plan:
         found = list(self.source.problems(self.source_settings))
         for sink, settings in self.sinks:
             found += sink.problems(settings)
+        found += self._shared_endpoints()
         found += estimator_problems(self.array, self.estimator)
         return list(dict.fromkeys(found))
+
+    def _shared_endpoints(self) -> Iterator[str]:
+        """Endpoints that are free now, but that two parts of this node want to listen on."""
+        taken: dict[str, str] = {}
+        parts: list[SourceSettings | SinkSettings] = [self.source_settings]
+        parts += [settings for _, settings in self.sinks]
+        for part in parts:
+            endpoint = _listens_on(part)
+            if endpoint in taken:
+                yield f'"{taken[endpoint]}" and "{part.type}" cannot both listen on {endpoint}'
+            elif endpoint is not None:
+                taken[endpoint] = part.type
 
     @property
     def block_frames(self) -> int:
@@ -115,6 +128,14 @@ def resolve_array(
     if carried is not None and array.calibration is None:
         array = replace(array, calibration=carried.calibration)
     return array
+
+
+def _listens_on(settings: SourceSettings | SinkSettings) -> str | None:
+    """The one endpoint that this source or sink takes; None where it takes none, or any that is free."""
+    endpoint: str | None = getattr(settings, "endpoint", None)
+    if endpoint is None and hasattr(settings, "host"):
+        endpoint = f"tcp://{settings.host}:{getattr(settings, 'port', 0)}"
+    return None if endpoint is None or endpoint.endswith((":0", ":*")) else endpoint
 
 
 def check(settings: NodeSettings) -> list[str]:

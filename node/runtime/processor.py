@@ -98,7 +98,10 @@ class BlockProcessor:
             log.exception("a block of %d frames could not be estimated", len(block))
             return Outcome(None, 0, {"estimation_failed": len(block)})
         dropped = self._newly_rejected()
-        self.untrained += dropped.pop("untrained", 0)
+        if untrained := dropped.pop("untrained", 0):
+            if not self.untrained:
+                log.warning('rho = "lr" keeps UEs off the chart until it has seen two with a known position')
+            self.untrained += untrained
         return Outcome(update if len(update) else None, len(block) - sum(dropped.values()), dropped)
 
     def forget(self) -> None:

@@ -103,3 +103,15 @@ def test_a_block_never_has_more_ues_than_a_worker_may_hold(tmp_path: Path) -> No
 def test_estimators_that_cannot_be_made() -> None:
     [problem] = estimator_problems(small_array(), EstimatorSettings(theta="music", signal_order=9))
     assert "signal_order" in problem
+
+
+def test_two_sinks_on_one_endpoint_are_a_mistake(tmp_path: Path) -> None:
+    config = tmp_path / "node.toml"
+    sink = f'[[sinks]]\ntype = "publisher"\nendpoint = "ipc://{tmp_path}/chart"\n'
+    free = '[[sinks]]\ntype = "view"\nport = 0\n[[sinks]]\ntype = "metrics"\nport = 0\n'
+    config.write_text(f'[array]\n[source]\ntype = "simulator"\n{sink}{free}')
+    assert check(load(config)) == []
+    config.write_text(f'[array]\n[source]\ntype = "simulator"\n{sink}{sink}')
+    assert check(load(config)) == [
+        f'"publisher" and "publisher" cannot both listen on ipc://{tmp_path}/chart'
+    ]

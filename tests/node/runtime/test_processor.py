@@ -51,11 +51,15 @@ def test_a_block_that_the_estimator_refuses_is_counted(caplog: pytest.LogCapture
     assert "max_ues" in caplog.text
 
 
-def test_untrained_rows_are_no_lost_frames() -> None:
+def test_untrained_rows_are_no_lost_frames(caplog: pytest.LogCaptureFixture) -> None:
     worker = processor(rho="lr")
     outcome = worker.process(block(position=False))
     assert (outcome.update, outcome.estimated, outcome.dropped) == (None, 6, {})
     assert worker.untrained > 0
+    worker.process(block(position=False, seq=6))
+    assert [record.message for record in caplog.records] == [
+        'rho = "lr" keeps UEs off the chart until it has seen two with a known position'
+    ]
 
 
 def test_recordings_forget_by_frame_time() -> None:
