@@ -38,6 +38,7 @@ LATENCY_S = 6.0
 WARM_UP_S = 2.0
 LISTEN_S = 0.2
 RUN_WITHIN_S = 600.0
+CAPTURE = "capture.mcap"
 
 Seconds = NDArray[np.float64]
 
@@ -67,14 +68,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
 def _throughput(
     arguments: argparse.Namespace, directory: Path, array: ArrayGeometry, blocks: list[CsiBlock]
 ) -> tuple[Table, float]:
-    capture = directory / "capture.mcap"
-    rounds = max(1, min(10, arguments.frames // arguments.ues))
-    with RecordingWriter(capture, array) as writer:
-        for n in range(rounds):
-            for block in blocks:
-                seq, time_ns = n * arguments.ues + block.seq, block.time_ns + n * 100_000_000
-                writer.write(CsiBlock(block.array, seq, block.ue, time_ns, block.csi, block.position))
-    loops = max(1, round(arguments.frames / (rounds * arguments.ues)))
+    loops = record(directory, array, blocks, arguments.frames)
     table = Table(
         f"a recording at full speed, {arguments.theta} / {arguments.rho}, chart published and logged",
         ["workers", "frames", "frames/s", "MB/s", "lost", "CPU s per 1000 frames", "peak MB"],
@@ -82,12 +76,11 @@ def _throughput(
     best = 0.0
     with progress("full speed", len(arguments.workers) * arguments.runs) as done:
         for workers in arguments.workers:
-            source = f'[source]\ntype = "recording"\npath = "{capture}"\nspeed = 0'
-            config = _config(directory, arguments, source, workers)
-            idle = _outcome(directory, config + _loops(1))
+            config = recording_config(directory, arguments, workers, loops)
+            idle = _outcome(directory, recording_config(directory, arguments, workers, 1))
             runs = []
             for _ in range(arguments.runs):
-                runs.append(_outcome(directory, config + _loops(loops)))
+                runs.append(_outcome(directory, config))
                 done(1)
             rate = Timing.of([r.summary["frames_in"] / r.summary["seconds"] for r in runs])
             more = runs[-1].summary["frames_in"] - idle.summary["frames_in"]
@@ -213,8 +206,22 @@ path = "{directory}/charts.mcap"
 """
 
 
-def _loops(n: int) -> str:
-    return f"loops = {n}\n"
+def record(directory: Path, array: ArrayGeometry, blocks: list[CsiBlock], frames: int) -> int:
+    """Write a recording of some rounds of `blocks`; gives how often to play it for about `frames` frames."""
+    ues = sum(len(block) for block in blocks)
+    rounds = max(1, min(10, frames // ues))
+    with RecordingWriter(directory / CAPTURE, array) as writer:
+        for n in range(rounds):
+            for block in blocks:
+                seq, time_ns = n * ues + block.seq, block.time_ns + n * 100_000_000
+                writer.write(CsiBlock(block.array, seq, block.ue, time_ns, block.csi, block.position))
+    return max(1, round(frames / (rounds * ues)))
+
+
+def recording_config(directory: Path, arguments: argparse.Namespace, workers: int, loops: int) -> str:
+    """A node that plays what `record` wrote as fast as it can, publishes and logs."""
+    source = f'[source]\ntype = "recording"\npath = "{directory / CAPTURE}"\nspeed = 0\nloops = {loops}\n'
+    return _config(directory, arguments, source, workers)
 
 
 def _outcome(directory: Path, config: str) -> Outcome:
