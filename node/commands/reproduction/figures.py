@@ -27,6 +27,7 @@ Floats = NDArray[np.float64]
 
 DPI = 130
 COLOURS = 96
+MOST_COLUMNS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +113,8 @@ def charts(truth: Floats, charted: Sequence[Charted], embeddings: Sequence[Chart
     everyone = np.ones(len(truth), bool)
     colours = position_colours(truth[:, 0], truth[:, 1], everyone)
     letters = np.arange(len(truth)) < LETTER_UES
-    columns = min(5, len(panels))
-    rows = -(-len(panels) // columns)
+    rows = -(-len(panels) // MOST_COLUMNS)
+    columns = -(-len(panels) // rows)
     size = float(np.clip(5000 / len(truth), 1.5, 12))
 
     def draw(theme: Theme) -> Figure:
