@@ -16,9 +16,9 @@ from types import FrameType
 from typing import Any
 
 from rich.console import Console
+from rich.constrain import Constrain
 from rich.live import Live
 from rich.logging import RichHandler
-from rich.padding import Padding
 
 from chachart.config.load import load
 from chachart.node.errors import EX_CONFIG, SetupError
@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 PANEL_EVERY_S = 0.25
 LINE_EVERY_S = 5.0
 POLL_S = 0.05
-ROOM_FOR_CTRL_C = (0, 2, 0, 0)
+ROOM_FOR_CTRL_C = 2
 """Columns right of the panel, so that the terminal's `^C` does not begin a line that nobody wipes."""
 SWITCH_INTERVAL_S = 0.0005
 """Sinks must not keep new charts waiting for the interpreter as long as Python's 5 ms."""
@@ -137,7 +137,9 @@ def _run(plan: Plan, options: argparse.Namespace) -> int:
                 node,
                 signals,
                 options.duration,
-                lambda status: live.update(Padding(panel(status), ROOM_FOR_CTRL_C), refresh=True),
+                lambda status: live.update(
+                    Constrain(panel(status), console.width - ROOM_FOR_CTRL_C), refresh=True
+                ),
                 PANEL_EVERY_S,
             )
     summary = node.close()
