@@ -62,7 +62,8 @@ class SubspaceTracker:
         basis = self._bank.rows[slots]
         cold = basis[:, 0, 0] == 0
         if cold.any():
-            basis[cold] = orthonormal(r[cold, :: self.size // self.order][:, : self.order])
+            rows = r[cold, :: self.size // self.order][:, : self.order]
+            basis[cold] = orthonormal(rows / np.abs(rows).max(axis=(1, 2), keepdims=True))
         basis = iterate(r, basis, snapshots)
         self._bank.rows[slots] = basis
         return basis
@@ -84,11 +85,11 @@ def iterate(r: Complex, basis: Complex, snapshots: Real) -> Complex:
     """
     result = basis
     todo = np.arange(len(r))
-    trace = np.einsum("kii->k", r).real
+    scale = (1 / np.einsum("kii->k", r).real)[:, None, None]  # single precision cannot square any r
     for step in range(STEPS):
-        onward = np.matmul(basis, r)
+        onward = np.matmul(basis, r) * scale
         if step >= FREE_STEPS:
-            open_ = _unconverged(basis, onward, trace, snapshots)
+            open_ = _unconverged(basis, onward, snapshots)
             if len(todo) == len(result):
                 result = basis
             else:
@@ -97,7 +98,7 @@ def iterate(r: Complex, basis: Complex, snapshots: Real) -> Complex:
                 return result
             if not open_.all():
                 todo, r, onward = todo[open_], r[open_], onward[open_]
-                trace, snapshots = trace[open_], snapshots[open_]
+                scale, snapshots = scale[open_], snapshots[open_]
             if len(todo) <= len(result) * FEW:
                 break
         basis = orthonormal(onward)
@@ -116,16 +117,16 @@ def orthonormal(rows: Complex) -> Complex:
     return rows
 
 
-def _unconverged(basis: Complex, onward: Complex, trace: Real, snapshots: Real) -> NDArray[np.bool_]:
-    """Which bases B with onward = B R have a signal vector that still moves, (K,)."""
+def _unconverged(basis: Complex, onward: Complex, snapshots: Real) -> NDArray[np.bool_]:
+    """Which bases B with onward = B R, R of trace 1, have a signal vector that still moves, (K,)."""
     order, n = basis.shape[1:]
     inner = np.matmul(onward, basis.conj().swapaxes(1, 2))
     reals = (onward - np.matmul(inner, basis)).view(onward.real.dtype)
     residual = np.einsum("kon,kon->ko", reals, reals)
     value = np.einsum("koo->ko", inner).real
-    noise = (np.maximum(trace - value.sum(axis=1), 0) / (n - order))[:, None]
+    noise = (np.maximum(1 - value.sum(axis=1), 0) / (n - order))[:, None]
     m = snapshots[:, None]
     bulk = np.where(np.arange(order) == 0, 0, NOISE_LIKE) * noise
-    allowed = TOLERANCE**2 * value * noise / m + (_ROUNDING * trace[:, None]) ** 2
+    allowed = TOLERANCE**2 * value * noise / m + _ROUNDING**2
     moving: NDArray[np.bool_] = ((value > bulk) & (residual > allowed)).any(axis=1)
     return moving

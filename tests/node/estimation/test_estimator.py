@@ -156,6 +156,29 @@ def test_the_longest_unseen_makes_room_and_comes_back_afresh(los: Build) -> None
     assert estimator.update(world.block(0.0, np.array([0]), time_ns=9)).snapshots.tolist() == [1.0]
 
 
+@pytest.mark.parametrize("method", SPECTRAL)
+@pytest.mark.parametrize("scale", [1e-15, 1e12])
+def test_any_unit_of_amplitude_will_do(los: Build, method: str, scale: float) -> None:
+    world = los(40)
+    block = world.block(0.0, np.arange(40))
+    scaled = CsiBlock("lab", 0, block.ue, block.time_ns, block.csi * np.float32(scale))
+    options = {"theta": method, "rho": method, "signal_order": 2, "averaging": "mean"}
+    expected, got = ChartEstimator(world.array, **options), ChartEstimator(world.array, **options)
+    for _ in range(3):
+        a, b = expected.update(block), got.update(scaled)
+    for name in ("theta", "rho", "snr"):
+        assert getattr(b, name) == pytest.approx(getattr(a, name), rel=2e-3), name
+
+
+def test_a_frame_beyond_single_precision_is_rejected(los: Build) -> None:
+    world = los(2)
+    block = world.block(0.0, np.arange(2))
+    csi = block.csi * np.array([1e-17, 1e17], np.float32)[:, None, None]
+    estimator = ChartEstimator(world.array)
+    assert len(estimator.update(CsiBlock("lab", 0, block.ue, block.time_ns, csi))) == 0
+    assert estimator.rejected.as_dict() == {"out_of_range": 2}
+
+
 def test_a_block_of_more_ues_than_are_kept(los: Build) -> None:
     world = los(6)
     estimator = ChartEstimator(world.array, max_ues=2)
