@@ -23,6 +23,7 @@ MATMUL_LIMIT = 64
 """Up to this size, lag sums come from the covariance itself; beyond, FFTs need fewer operations."""
 
 _SCRATCH_BYTES = 1 << 20
+_TRANSFORM_BYTES = 4 << 20
 
 
 class Grouping:
@@ -171,14 +172,21 @@ class LagSums:
         """Lag polynomials (K, N) of X Xᴴ for factors x (K, N, M) and their conjugates."""
         n = self.size
         if n > MATMUL_LIMIT:
-            transform = fft.fft(x, fft.next_fast_len(2 * n), axis=1)
-            power = np.einsum("kfm,kfm->kf", transform.real, transform.real)
-            power += np.einsum("kfm,kfm->kf", transform.imag, transform.imag)
-            c: Complex = fft.rfft(power, axis=1, norm="forward")[:, :n]
-            c[:, 1:] *= 2
-            return c
+            points = fft.next_fast_len(2 * n)
+            step = max(_TRANSFORM_BYTES // (points * x.shape[2] * x.itemsize), 1)
+            return np.concatenate(
+                [self._of_spectrum(x[i : i + step], points) for i in range(0, len(x), step)]
+            )
         across = conjugate.swapaxes(1, 2)
         return self._sums(len(x), x.dtype, lambda part, out: np.matmul(x[part], across[part], out=out))
+
+    def _of_spectrum(self, x: Complex, points: int) -> Complex:
+        transform = np.ascontiguousarray(fft.fft(x, points, axis=1))
+        reals = transform.view(transform.real.dtype)
+        power = np.einsum("kfm,kfm->kf", reals, reals)
+        c: Complex = fft.rfft(power, axis=1, norm="forward")[:, : self.size]
+        c[:, 1:] *= 2
+        return c
 
     def _sums(self, count: int, dtype: np.dtype[Any], fill: Callable[[slice, Complex], object]) -> Complex:
         """Lag polynomials of `count` matrices, which `fill` writes, some at a time."""
