@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
+import os
 import sys
 import time
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from chachart.config.settings import ArraySettings
 from chachart.node.commands.benchmarks.kernels import noisy_blocks
+from chachart.node.commands.benchmarks.running import peak_bytes
 from chachart.node.csi import CsiBlock
 from chachart.node.estimation.estimator import ChartEstimator
 
@@ -35,7 +36,7 @@ def main() -> None:
     ).geometry()
     frames = noisy_blocks(array, BLOCK, BLOCK)[0]
     estimator = ChartEstimator(array, theta=arguments.theta, rho=arguments.rho, max_ues=arguments.ues)
-    before = _peak_bytes()
+    before = peak_bytes(os.getpid())
     seconds = 0.0
     for _ in range(arguments.passes):
         seconds = 0.0
@@ -48,15 +49,11 @@ def main() -> None:
     json.dump(
         {
             "us": seconds / arguments.ues * 1e6,
-            "state_bytes": _peak_bytes() - before,
-            "peak_bytes": _peak_bytes(),
+            "state_bytes": peak_bytes(os.getpid()) - before,
+            "peak_bytes": peak_bytes(os.getpid()),
         },
         sys.stdout,
     )
-
-
-def _peak_bytes() -> int:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 if __name__ == "__main__":

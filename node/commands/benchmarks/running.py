@@ -89,7 +89,7 @@ class RunningNode:
     def _look(self) -> None:
         while not self._done.wait(WATCH_EVERY_S):
             for pid in _family(self._process.pid):
-                self._peaks[pid] = max(self._peaks.get(pid, 0), _peak_bytes(pid))
+                self._peaks[pid] = max(self._peaks.get(pid, 0), peak_bytes(pid))
 
 
 def _children_cpu_s() -> float:
@@ -108,7 +108,11 @@ def _family(pid: int) -> list[int]:
     return [pid, *(member for child in found for member in _family(child))]
 
 
-def _peak_bytes(pid: int) -> int:
+def peak_bytes(pid: int) -> int:
+    """Most memory that a process has had, 0 if it is gone.
+
+    The kernel's resource usage will not do: it begins with what the parent had.
+    """
     try:
         lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     except OSError:
