@@ -13,13 +13,14 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import get_args
 
 import msgpack
 import numpy as np
 import zmq
 from numpy.typing import NDArray
 
-from chachart.config.settings import ArraySettings
+from chachart.config.settings import ArraySettings, RhoMethod, ThetaMethod
 from chachart.node.client import subscribe
 from chachart.node.commands.benchmarks.kernels import noisy_blocks
 from chachart.node.commands.benchmarks.report import Table
@@ -48,8 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ues", type=int, default=2048, help="default: %(default)s")
     parser.add_argument("--frames", type=int, default=400_000, help="frames a run (default: %(default)s)")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2], help="default: 1 2")
-    parser.add_argument("--theta", default="bartlett", help="default: %(default)s")
-    parser.add_argument("--rho", default="bartlett", help="default: %(default)s")
+    parser.add_argument("--theta", default="bartlett", choices=get_args(ThetaMethod))
+    parser.add_argument("--rho", default="bartlett", choices=get_args(RhoMethod))
     parser.add_argument("--rate", type=float, nargs="*", default=[10_000.0], help="further rates for latency")
     parser.add_argument("--runs", type=int, default=3, help="timed runs (default: %(default)s)")
 

@@ -6,8 +6,9 @@ import argparse
 import json
 import subprocess
 import sys
-from typing import Any
+from typing import Any, get_args
 
+from chachart.config.settings import RhoMethod, ThetaMethod
 from chachart.node.commands.benchmarks.report import Table
 from chachart.node.commands.cli import progress
 
@@ -22,8 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-ues", type=int, default=100_000, help="largest number of UEs (default: %(default)s)"
     )
-    parser.add_argument("--theta", default="bartlett", help="default: %(default)s")
-    parser.add_argument("--rho", default="bartlett", help="default: %(default)s")
+    parser.add_argument("--theta", default="bartlett", choices=get_args(ThetaMethod))
+    parser.add_argument("--rho", default="bartlett", choices=get_args(RhoMethod))
 
 
 def run(arguments: argparse.Namespace) -> list[Table]:
@@ -31,16 +32,16 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     method = (arguments.theta, arguments.rho)
     ues = [n for n in UES if n <= arguments.max_ues]
     by_ues = Table(f"UEs of 32 x 32, {' / '.join(method)}", ["UEs", *COLUMNS])
-    by_size = Table(f"array sizes, {SIZE_UES} UEs", ["antennas x subcarriers", "rho method", *COLUMNS])
+    by_size = Table(f"array sizes, {SIZE_UES} UEs", ["antennas x subcarriers", "theta / rho", *COLUMNS])
     with progress("measuring", len(ues) + len(SIZES)) as done:
         for n in ues:
             by_ues.add(n, *_cells(footprint(n, 32, 32, method), n))
             done(1)
         for antennas, subcarriers in SIZES:
             # One subcarrier has no delay to look for; the amplitude still ranges.
-            rho = arguments.rho if subcarriers > 1 else "isq"
-            found = footprint(SIZE_UES, antennas, subcarriers, (arguments.theta, rho))
-            by_size.add(f"{antennas} x {subcarriers}", rho, *_cells(found, SIZE_UES))
+            fits = method if subcarriers > 1 else ("bartlett", "isq")
+            found = footprint(SIZE_UES, antennas, subcarriers, fits)
+            by_size.add(f"{antennas} x {subcarriers}", " / ".join(fits), *_cells(found, SIZE_UES))
             done(1)
     by_ues.notes = [
         "second frame of every UE; the peak is that of the whole process, Python and numpy included"
