@@ -12,7 +12,18 @@ from pathlib import Path
 from chachart.node.errors import SetupError
 from chachart.sources.formats.base import HEAD_BYTES, Capture
 
-FORMATS = ("npz", "npy", "matlab", "hdf5", "tfrecord", "nexmon", "esp32", "intel5300", "atheros")
+FORMATS = (
+    "npz",
+    "npy",
+    "matlab",
+    "hdf5",
+    "tfrecord",
+    "nexmon",
+    "picoscenes",
+    "esp32",
+    "intel5300",
+    "atheros",
+)
 """Modules of this package, in the order in which they are asked."""
 
 

@@ -1,7 +1,7 @@
 """What the captures of Wi-Fi cards share.
 
-The csiread package decodes them; it trusts every length in a file, so each format here walks the file first
-and tells what is wrong.
+The csiread package decodes most of them; it trusts every length in a file, so each format here walks the
+file first and tells what is wrong.
 """
 
 from __future__ import annotations
