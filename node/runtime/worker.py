@@ -10,11 +10,13 @@ import logging
 import os
 from typing import Any
 
+import numpy as np
 import zmq
 
 from chachart.node.counters import Counters
 from chachart.node.csi import CsiBlock
 from chachart.node.errors import RequestError
+from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.geometry import ArrayGeometry
 from chachart.node.runtime import messages
 from chachart.node.runtime.child import read_settings
@@ -27,6 +29,8 @@ IDLE_MS = 500
 MERGE_BYTES = 2 * 1024 * 1024
 """Blocks that have queued up are estimated as one up to this size: fewer calls, still within the cache."""
 
+WARM_UP_FRAMES = 64
+
 Message = tuple[bytes, list[memoryview]]
 
 
@@ -36,9 +40,9 @@ class Worker:
     def __init__(self, settings: dict[str, Any], socket: zmq.Socket[bytes]) -> None:
         self._shard: int = settings["shard"]
         self._merge_frames: int = settings["estimator"]["max_ues"]
-        self._processor = BlockProcessor(
-            ArrayGeometry.from_dict(settings["array"]), settings["estimator"], FrameClock(live=False)
-        )
+        self._array = ArrayGeometry.from_dict(settings["array"])
+        self._estimator: dict[str, Any] = settings["estimator"]
+        self._processor = BlockProcessor(self._array, self._estimator, FrameClock(live=False))
         self._socket = socket
         self._put_back: Message | None = None
         self._last = -1
@@ -46,6 +50,7 @@ class Worker:
 
     def run(self) -> None:
         """Serve until the feeder says that nothing more will come."""
+        warm_up(self._array, self._estimator)
         hello = {"shard": self._shard, "pid": os.getpid()}
         self._socket.send_multipart([messages.HELLO, messages.pack(hello)])
         while (message := self._receive(IDLE_MS)) is None or message[0] != messages.END:
@@ -111,6 +116,16 @@ class Worker:
         except RequestError as error:
             answer["error"] = str(error)
         self._socket.send_multipart([messages.REPLY, messages.pack(answer)])
+
+
+def warm_up(array: ArrayGeometry, estimator: dict[str, Any]) -> None:
+    """Estimate noise with a throw-away estimator: the first call takes longer than live frames can wait."""
+    frame_bytes = 8 * array.antennas * array.subcarriers
+    frames = min(max(MERGE_BYTES // frame_bytes, 1), WARM_UP_FRAMES)
+    shape = (frames, array.antennas, 2 * array.subcarriers)
+    noise = np.random.default_rng(0).standard_normal(shape, np.float32).view(np.complex64)
+    block = CsiBlock(array.name, 0, np.arange(frames, dtype=np.uint64), np.zeros(frames, np.int64), noise)
+    ChartEstimator(array, **estimator).update(block)
 
 
 def main() -> None:
