@@ -8,6 +8,7 @@ manifold's the antennas.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -29,7 +30,7 @@ CONVERGED = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
-class UniformManifold:
+class UniformManifold(ABC):
     """a_n(u) = exp(j n u), n = 0 ... size - 1, for u in [low, high].
 
     Attributes
@@ -49,17 +50,17 @@ class UniformManifold:
         u = np.asarray(u, np.float64)
         return powers(u.reshape(-1), self.size).T.reshape(*u.shape, self.size)
 
+    @abstractmethod
     def coordinate(self, u: Floats) -> Floats:
         """What u stands for."""
-        raise NotImplementedError
 
+    @abstractmethod
     def u(self, coordinate: Any) -> Floats:
         """The u that a coordinate stands for."""
-        raise NotImplementedError
 
+    @abstractmethod
     def coordinate_std(self, u: Floats, u_std: Floats) -> Floats:
         """Standard deviation of the coordinate, given that of u."""
-        raise NotImplementedError
 
     def multiples(self, step: float) -> Floats:
         """The multiples of `step` that the coordinate's range holds."""

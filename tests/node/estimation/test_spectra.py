@@ -105,7 +105,7 @@ def test_inverse_cholesky(size: int, dtype: type) -> None:
 def test_lag_sums_give_the_quadratic_form(size: int, columns: int) -> None:
     rng = np.random.default_rng(size)
     x = rng.standard_normal((3, size, columns)) + 1j * rng.standard_normal((3, size, columns))
-    manifold = UniformManifold(size, -np.pi, np.pi)
+    manifold = AngleManifold(size, -np.pi, np.pi, np.pi)
     u = rng.uniform(-np.pi, np.pi, 3)
     a = manifold.steering(u)
     q = x @ x.conj().swapaxes(1, 2)
