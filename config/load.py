@@ -14,12 +14,12 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from chachart.config.describe import allowed, literal_values, nested_model, toml
-from chachart.config.model import Settings
 from chachart.config.overrides import apply
 from chachart.config.registry import Kind, available, settings_class, suggestion
 from chachart.config.settings import ArraySettings, EstimatorSettings, QualitySettings, WorkersSettings
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.data.settings import Settings
 from chachart.sinks.base import SinkSettings
 from chachart.sources.base import SourceSettings
 

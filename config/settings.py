@@ -8,13 +8,11 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from chachart.config.calibration import load_calibration
-from chachart.config.model import Settings
-from chachart.node.calibration import Calibration
-from chachart.node.geometry import SPEED_OF_LIGHT, ArrayGeometry, Vector
-
-ThetaMethod = Literal["bartlett", "mvdr", "minnorm", "music", "joint"]
-RhoMethod = Literal["bartlett", "mvdr", "minnorm", "music", "joint", "isq", "lr"]
+from chachart.node.data.calibration import Calibration
+from chachart.node.data.geometry import SPEED_OF_LIGHT, ArrayGeometry, Vector
+from chachart.node.data.methods import RhoMethod, ThetaMethod
+from chachart.node.data.settings import Settings
+from chachart.node.files.calibration import load_calibration
 
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 

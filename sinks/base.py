@@ -10,10 +10,10 @@ from __future__ import annotations
 from abc import ABC
 from typing import Any, ClassVar, Protocol
 
-from chachart.config.model import Settings
-from chachart.node.chart import ChartUpdate
-from chachart.node.csi import CsiBlock
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.data.settings import Settings
 
 
 class SinkSettings(Settings):

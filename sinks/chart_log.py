@@ -12,10 +12,10 @@ import msgpack
 from mcap.writer import CompressionType, Writer
 from pydantic import Field
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.chart_log import HEAD
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.files.chart_log import HEAD
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
 from chachart.sinks.files import free_name, write_problems
 from chachart.sinks.foxglove import SCHEMA, point_cloud

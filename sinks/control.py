@@ -16,9 +16,9 @@ import msgpack
 import zmq
 from pydantic import Field, model_validator
 
-from chachart.node.endpoints import Endpoint, bind, bind_problems
-from chachart.node.errors import RequestError, SetupError
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.errors import RequestError, SetupError
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.net.endpoints import Endpoint, bind, bind_problems
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
 from chachart.sinks.operations import Operations
 from chachart.sinks.web.access import is_loopback, same_token

@@ -6,7 +6,7 @@ import os
 from datetime import UTC, datetime
 from pathlib import Path
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 
 MOST_FILES = 100_000
 

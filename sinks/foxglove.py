@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from chachart.node.chart import ChartUpdate
+from chachart.node.data.chart import ChartUpdate
 
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("snr", "<f4"), ("ue", "<f8")])
 """One point of `data`: chart coordinates in metres (z is 0), SNR in dB; `ue` is exact up to 2^53."""

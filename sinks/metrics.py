@@ -21,7 +21,7 @@ from prometheus_client.core import (
 from prometheus_client.registry import Collector
 from pydantic import Field
 
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sinks.base import NodeAccess, Sink
 from chachart.sinks.web.health import Health, health_routes
 from chachart.sinks.web.server import Answer, Query, Route, WebServer, WebSettings, port_problems

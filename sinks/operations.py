@@ -18,9 +18,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
-from chachart.config.model import Settings
-from chachart.config.settings import RhoMethod, ThetaMethod
-from chachart.node.errors import RequestError
+from chachart.node.data.errors import RequestError
+from chachart.node.data.methods import RhoMethod, ThetaMethod
+from chachart.node.data.settings import Settings
 from chachart.sinks.base import NodeAccess
 from chachart.sinks.plain import plain
 

@@ -10,11 +10,11 @@ from typing import Any, ClassVar, Literal
 import zmq
 from pydantic import Field
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.endpoints import Endpoint, bind, bind_problems
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
-from chachart.node.wire import chart_topic, encode_chart, encode_report
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.net.endpoints import Endpoint, bind, bind_problems
+from chachart.node.net.wire import chart_topic, encode_chart, encode_report
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
 
 ROWS_PER_MESSAGE = 4096

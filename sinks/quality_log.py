@@ -7,8 +7,8 @@ import time
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TextIO
 
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
 from chachart.sinks.files import file_name, write_problems
 from chachart.sinks.plain import plain

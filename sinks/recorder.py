@@ -9,10 +9,10 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
-from chachart.node.recording import RecordingWriter
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.files.recording import RecordingWriter
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
 from chachart.sinks.files import free_name, write_problems
 

@@ -11,10 +11,10 @@ from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Any, ClassVar, Self
 
-from chachart.config.model import Settings
-from chachart.node.counters import Counters
-from chachart.node.csi import CsiBlock
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.counters import Counters
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.data.settings import Settings
 
 
 class EndOfSource(Exception):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from chachart.node.counters import Counters
-from chachart.node.csi import CsiBlock
+from chachart.node.data.counters import Counters
+from chachart.node.data.csi import CsiBlock
 
 
 def usable(block: CsiBlock, rejected: Counters) -> CsiBlock | None:

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
-from chachart.node.recording import RecordingReader
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.files.recording import RecordingReader
 from chachart.sources.base import EndOfSource, Source, SourceSettings
 from chachart.sources.checks import usable
 

@@ -11,11 +11,11 @@ from typing import Any, ClassVar, Literal
 import zmq
 from pydantic import Field
 
-from chachart.node.csi import CsiBlock
-from chachart.node.endpoints import Endpoint, bind, bind_problems
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
-from chachart.node.wire import WireError, decode_csi
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.net.endpoints import Endpoint, bind, bind_problems
+from chachart.node.net.wire import WireError, decode_csi
 from chachart.sources.base import Source, SourceSettings
 from chachart.sources.checks import usable
 

@@ -19,15 +19,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from chachart.config.calibration import load_calibration, save_calibration
-from chachart.node.calibration import Calibration
-from chachart.node.commands.cli import progress
-from chachart.node.counters import Counters
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
+from chachart.node.commands.shared.cli import progress
+from chachart.node.data.calibration import Calibration
+from chachart.node.data.counters import Counters
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation import calibrate
-from chachart.node.geometry import ArrayGeometry
-from chachart.node.recording import RecordingReader
+from chachart.node.files.calibration import load_calibration, save_calibration
+from chachart.node.files.recording import RecordingReader
 from chachart.sources.checks import usable
 
 MAX_UES = 256

@@ -12,7 +12,7 @@ import argparse
 
 from chachart.config import sample
 from chachart.config.registry import available
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

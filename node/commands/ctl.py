@@ -23,7 +23,7 @@ from typing import Any
 import msgpack
 import zmq
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 
 ENDPOINT = "tcp://127.0.0.1:5557"
 _COLUMNS = ("ue", "time_ns", "x", "y", "theta", "rho", "theta_std", "rho_std", "snr", "snapshots")

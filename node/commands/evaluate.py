@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from chachart.node.commands.charting import (
+from chachart.node.commands.shared.charting import (
     FEWEST_UES,
     Charted,
     add_options,
@@ -24,9 +24,9 @@ from chachart.node.commands.charting import (
     estimator_for,
     settings_for,
 )
-from chachart.node.commands.cli import check_writable
+from chachart.node.commands.shared.cli import check_writable
 from chachart.node.estimation.quality import assess
-from chachart.node.recording import RecordingReader
+from chachart.node.files.recording import RecordingReader
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -22,13 +22,13 @@ from pathlib import Path
 
 import numpy as np
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.chart_log import ChartLogReader, is_chart_log, newest
-from chachart.node.commands.cli import check_writable, written_whole
 from chachart.node.commands.exporting import frames, rows
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
-from chachart.node.recording import RecordingReader
+from chachart.node.commands.shared.cli import check_writable, written_whole
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
+from chachart.node.files.chart_log import ChartLogReader, is_chart_log, newest
+from chachart.node.files.recording import RecordingReader
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

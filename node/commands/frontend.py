@@ -23,7 +23,7 @@ from pydantic import ValidationError
 from chachart.config.load import load
 from chachart.config.registry import source_class
 from chachart.config.settings import ArraySettings
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 from chachart.sources.base import Source
 from chachart.sources.frontend.can import CanSettings
 from chachart.sources.frontend.device import FaultSettings, Link, Report, SimulatedFrontEnd

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from chachart.node.commands.cli import check_writable, progress, written_whole
-from chachart.node.commands.importing import read_table
-from chachart.node.errors import SetupError
-from chachart.node.recording import RecordingWriter
+from chachart.node.commands.shared.cli import check_writable, progress, written_whole
+from chachart.node.commands.shared.importing import read_table
+from chachart.node.data.errors import SetupError
+from chachart.node.files.recording import RecordingWriter
 from chachart.sources.formats import open_capture
 from chachart.sources.formats.arrange import AXES
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from chachart.node.recording import RecordingReader, RecordingSummary
+from chachart.node.files.recording import RecordingReader, RecordingSummary
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

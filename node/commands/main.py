@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from importlib import import_module
 
-from chachart.node.commands.cli import guarded
+from chachart.node.commands.shared.cli import guarded
 
 COMMANDS = {
     "bench": "measure how fast this machine runs chachart",

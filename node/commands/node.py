@@ -21,7 +21,7 @@ from rich.live import Live
 from rich.logging import RichHandler
 
 from chachart.config.load import load
-from chachart.node.errors import EX_CONFIG, SetupError
+from chachart.node.data.errors import EX_CONFIG, SetupError
 from chachart.node.runtime import logs
 from chachart.node.runtime.node import Node
 from chachart.node.runtime.panel import line, panel, summary_lines

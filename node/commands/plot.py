@@ -16,9 +16,9 @@ import argparse
 from importlib import import_module
 from pathlib import Path
 
-from chachart.node.commands.charting import add_options
-from chachart.node.commands.cli import check_writable
-from chachart.node.errors import SetupError
+from chachart.node.commands.shared.charting import add_options
+from chachart.node.commands.shared.cli import check_writable
+from chachart.node.data.errors import SetupError
 
 FIGURES = {
     "chart": "true positions and chart side by side, coloured by true position",

@@ -26,14 +26,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from chachart.config.load import settings_of
-from chachart.config.settings import RhoMethod, ThetaMethod
-from chachart.node.chart import ChartUpdate
 from chachart.node.commands.benchmarks import machine
 from chachart.node.commands.reproduction import accuracy, embeddings, paper, ranging, runs, scenario
 from chachart.node.commands.reproduction.paper import Pair
 from chachart.node.commands.reproduction.progress import steps
 from chachart.node.commands.reproduction.results import WRITTEN, ChannelResults, Results
-from chachart.node.errors import SetupError
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.errors import SetupError
+from chachart.node.data.methods import RhoMethod, ThetaMethod
 from chachart.node.estimation.curves import Ranks, neighbour_ranks
 
 PAIRS: tuple[Pair, ...] = (*paper.PAIRS, ("joint", "joint"))

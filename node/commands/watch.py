@@ -25,9 +25,9 @@ from rich.live import Live
 from rich.style import Style
 from rich.text import Text
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.client import ENDPOINT, Subscription, subscribe
-from chachart.node.commands.canvas import characters, fit, scatter
+from chachart.node.commands.shared.canvas import characters, fit, scatter
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.net.client import ENDPOINT, Subscription, subscribe
 
 KEEP_S = 60.0
 REFRESH_S = 0.1

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from chachart.node.calibration import Calibration
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.calibration import Calibration
+from chachart.node.data.geometry import ArrayGeometry
 
 Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]

@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.manifold import AngleManifold, DelayManifold
 from chachart.node.estimation.periodogram import Periodogram, Power
-from chachart.node.geometry import ArrayGeometry
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.intp]

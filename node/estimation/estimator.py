@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from chachart.node.chart import ChartUpdate, Method
-from chachart.node.counters import Counters
-from chachart.node.csi import CsiBlock
+from chachart.node.data.chart import ChartUpdate, Method
+from chachart.node.data.counters import Counters
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.covariance import Bank, Grouping
 from chachart.node.estimation.joint import JointLocator
 from chachart.node.estimation.options import JOINT, Options
 from chachart.node.estimation.separate import Located, Locator, SeparateLocator
 from chachart.node.estimation.slots import SlotTable
-from chachart.node.geometry import ArrayGeometry
 
 SPECTRUM_POINTS = 512
 LEAST_ENERGY, MOST_ENERGY = 1e-28, 1e28

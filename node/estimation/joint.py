@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.covariance import Grouping, Weights
 from chachart.node.estimation.direct_path import DirectPath
 from chachart.node.estimation.options import Options
 from chachart.node.estimation.periodogram import CoherentSums, Csi, PowerSums, SpectrumState, energy
 from chachart.node.estimation.separate import Located
 from chachart.node.estimation.slots import Slots
-from chachart.node.geometry import ArrayGeometry
 
 Floats = NDArray[np.float64]
 

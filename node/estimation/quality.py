@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.geometry import ArrayGeometry
 
 Points = NDArray[np.float64]
 

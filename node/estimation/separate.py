@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.amplitude import AmplitudeSum, ranging
 from chachart.node.estimation.axis import SpectralAxis
 from chachart.node.estimation.covariance import Grouping, Weights
@@ -15,7 +16,6 @@ from chachart.node.estimation.manifold import AngleManifold, DelayManifold
 from chachart.node.estimation.noise import NoiseFloor
 from chachart.node.estimation.options import AMPLITUDE, Options
 from chachart.node.estimation.slots import Slots
-from chachart.node.geometry import ArrayGeometry
 
 Floats = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from chachart.config.settings import EstimatorSettings
-from chachart.node.chart import ChartUpdate
+from chachart.node.data.chart import ChartUpdate
 from chachart.node.runtime.latency import Latency
 from chachart.node.runtime.processor import FrameClock
 from chachart.node.runtime.sink_thread import SinkThread

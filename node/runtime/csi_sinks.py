@@ -7,8 +7,8 @@ import threading
 from typing import Any
 
 from chachart.config.registry import sink_class
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.runtime.reader import Reader
 from chachart.node.runtime.sink_thread import SinkThread
 from chachart.sinks.base import Sink

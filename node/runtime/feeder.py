@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 import zmq
 
-from chachart.node.errors import EX_CONFIG, SetupError
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.errors import EX_CONFIG, SetupError
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.net.wire import encode_csi
 from chachart.node.runtime import messages
 from chachart.node.runtime.child import load_class, read_settings
 from chachart.node.runtime.csi_sinks import CsiSinks
@@ -26,7 +27,6 @@ from chachart.node.runtime.lanes import Lanes
 from chachart.node.runtime.partition import Partitioner, shard_of
 from chachart.node.runtime.reader import Reader
 from chachart.node.runtime.shard_queue import ShardQueue
-from chachart.node.wire import encode_csi
 from chachart.sources.base import Source
 
 log = logging.getLogger(__name__)

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from chachart.node.counters import Counters
+from chachart.node.data.counters import Counters
 from chachart.node.runtime.partition import Piece
 from chachart.node.runtime.shard_queue import Entry, ShardQueue
 

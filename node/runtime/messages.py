@@ -1,7 +1,7 @@
 """What the node's own processes say to each other: msgpack maps, and chart updates as raw columns.
 
 These messages never leave the node's private directory of sockets, so they favour speed; what goes to
-subscribers is `chachart.node.wire`.
+subscribers is `chachart.node.net.wire`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 import msgpack
 import numpy as np
 
-from chachart.node.chart import ChartUpdate, Method
+from chachart.node.data.chart import ChartUpdate, Method
 
 HELLO = b"hello"
 """Worker to feeder: {shard, pid}; it has seen no block yet."""

@@ -7,8 +7,8 @@ import threading
 import time
 from typing import Any
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.errors import SetupError
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.errors import SetupError
 from chachart.node.runtime import messages
 from chachart.node.runtime.charts import Charts
 from chachart.node.runtime.child import Child

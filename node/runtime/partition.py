@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from chachart.node.csi import CsiBlock
+from chachart.node.data.csi import CsiBlock
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,9 +10,9 @@ from typing import Any
 from chachart.config.load import NodeSettings
 from chachart.config.registry import sink_class, source_class
 from chachart.config.settings import ArraySettings, EstimatorSettings, QualitySettings, WorkersSettings
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
-from chachart.node.geometry import ArrayGeometry
 from chachart.sinks.base import Sink, SinkSettings
 from chachart.sources.base import Source, SourceSettings
 

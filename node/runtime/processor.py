@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import RequestError
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import RequestError
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
-from chachart.node.geometry import ArrayGeometry
 
 log = logging.getLogger(__name__)
 

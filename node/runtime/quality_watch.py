@@ -15,10 +15,10 @@ import numpy as np
 import zmq
 
 from chachart.config.settings import QualitySettings
-from chachart.node.chart import ChartUpdate
-from chachart.node.errors import RequestError
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.errors import RequestError
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.quality import assess
-from chachart.node.geometry import ArrayGeometry
 from chachart.node.runtime import messages
 from chachart.node.runtime.child import Child, read_settings
 

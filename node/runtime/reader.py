@@ -7,8 +7,8 @@ import threading
 import time
 from typing import Any
 
-from chachart.node.counters import Counters
-from chachart.node.csi import CsiBlock
+from chachart.node.data.counters import Counters
+from chachart.node.data.csi import CsiBlock
 from chachart.node.runtime.lanes import Lanes
 from chachart.node.runtime.partition import Partitioner, Piece
 from chachart.node.runtime.sink_thread import SinkThread

@@ -24,10 +24,10 @@ from typing import Any
 import msgpack
 from pydantic import ValidationError
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.errors import RequestError
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.errors import RequestError
+from chachart.node.net.wire import encode_chart
 from chachart.node.runtime.plan import Plan, estimator_problems
-from chachart.node.wire import encode_chart
 
 TIMEOUT_S = 5.0
 

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from chachart.node.counters import Counters
+from chachart.node.data.counters import Counters
 from chachart.node.runtime.partition import Piece
 
 MAX_DEATHS = 3

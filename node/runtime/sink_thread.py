@@ -8,10 +8,10 @@ import time
 from collections import deque
 from typing import Any
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.counters import Counters
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.counters import Counters
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
 from chachart.sinks.base import NodeAccess, Sink
 
 log = logging.getLogger(__name__)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from chachart.node.chart import ChartUpdate, Method
+from chachart.node.data.chart import ChartUpdate, Method
 from chachart.node.estimation.slots import SlotTable, grown
 
 _COLUMNS = [f.name for f in fields(ChartUpdate)[3:-1]]

@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 import zmq
 
-from chachart.node.counters import Counters
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import RequestError
+from chachart.node.data.counters import Counters
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import RequestError
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.net.wire import decode_csi
 from chachart.node.runtime import messages
 from chachart.node.runtime.child import read_settings
 from chachart.node.runtime.processor import BlockProcessor, FrameClock
-from chachart.node.wire import decode_csi
 
 log = logging.getLogger(__name__)
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.errors import RequestError
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.errors import RequestError
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.quality import neighbourhoods
-from chachart.node.geometry import ArrayGeometry
 from chachart.sinks.base import NodeAccess
 
 SHARES = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4)

@@ -14,8 +14,8 @@ import json
 
 import numpy as np
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.geometry import ArrayGeometry
 
 _SHOWN = ("x", "y", "theta", "rho", "theta_std", "rho_std", "snr", "snapshots")
 

@@ -14,8 +14,8 @@ from typing import Any
 
 from websockets.asyncio.server import ServerConnection
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sinks.base import NodeAccess
 from chachart.sinks.plain import plain
 from chachart.sinks.view.frames import encode_frame

@@ -17,8 +17,8 @@ from typing import Any, get_args
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-from chachart.config.settings import RhoMethod, ThetaMethod
-from chachart.node.errors import RequestError
+from chachart.node.data.errors import RequestError
+from chachart.node.data.methods import RhoMethod, ThetaMethod
 from chachart.sinks.operations import Operations
 from chachart.sinks.view.curve import CurveKeeper
 from chachart.sinks.view.hub import Hub, Viewer

@@ -18,8 +18,8 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sinks.base import NodeAccess, Sink
 from chachart.sinks.metrics import metrics_routes
 from chachart.sinks.operations import CHANGING, READING, Operations

@@ -26,7 +26,7 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
-from chachart.node.errors import RequestError, SetupError
+from chachart.node.data.errors import RequestError, SetupError
 from chachart.sinks.base import SinkSettings
 from chachart.sinks.web.access import COOKIE, Access, is_loopback
 

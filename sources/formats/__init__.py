@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 from chachart.sources.formats.base import HEAD_BYTES, Capture
 
 FORMATS = (

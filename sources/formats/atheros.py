@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 from chachart.sources.formats.base import Capture
 from chachart.sources.formats.wifi import WifiCapture, alike, csiread, streams
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 
 HEAD_BYTES = 4096
 """So much of a file's beginning a format is shown to recognise it by."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import mmap
 from pathlib import Path
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 from chachart.sources.formats.base import Capture
 from chachart.sources.formats.wifi import WifiCapture, alike, csiread, streams, unwrapped_ns
 

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 from chachart.sources.formats.base import Capture, Variable
 
 NAME = "NumPy .npy"

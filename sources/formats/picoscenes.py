@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 from chachart.sources.formats.base import Capture
 from chachart.sources.formats.picoscenes_csi import decoded
 from chachart.sources.formats.wifi import WifiCapture, streams

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 from chachart.sources.formats.base import Capture, Variable
 
 

@@ -6,7 +6,7 @@ from collections import Counter
 
 from pydantic import Field
 
-from chachart.config.model import Settings
+from chachart.node.data.settings import Settings
 
 MAX_STANDARD_ID = 0x7FF
 MAX_EXTENDED_ID = 0x1FFFFFFF

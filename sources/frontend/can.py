@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import SourceSettings
 from chachart.sources.frontend.address import FrontEndAddress, distinct
 from chachart.sources.frontend.can_bus import CanBusSettings, open_bus

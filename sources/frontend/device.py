@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from chachart.config.model import Settings
-from chachart.node.csi import CsiBlock
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.data.settings import Settings
 from chachart.sources.base import EndOfSource, Source
 from chachart.sources.frontend.packet import CsiPacket, Heartbeat, Hello, Packet, SampleFormat, encode
 

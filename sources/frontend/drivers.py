@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 
 LIBRARIES = {
     "serial": {"serial": "pyserial", "cobs": "cobs"},

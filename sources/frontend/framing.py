@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from cobs import cobs
 
-from chachart.node.counters import Counters
+from chachart.node.data.counters import Counters
 
 
 def encode_frame(packet: bytes) -> bytes:

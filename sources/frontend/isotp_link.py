@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import isotp
 
-from chachart.node.counters import Counters
+from chachart.node.data.counters import Counters
 from chachart.sources.frontend.address import FrontEndAddress
 
 if TYPE_CHECKING:

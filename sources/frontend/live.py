@@ -11,9 +11,9 @@ from typing import Any, ClassVar
 
 from pydantic import Field
 
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import EndOfSource, Source, SourceSettings
 from chachart.sources.frontend.device import Link
 from chachart.sources.frontend.drivers import require

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.frontend.device import FaultSettings, Link, Report, SimulatedFrontEnd
 from chachart.sources.simulator import Simulator, SimulatorSettings
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import SourceSettings
 from chachart.sources.frontend.device import Link
 from chachart.sources.frontend.drivers import missing

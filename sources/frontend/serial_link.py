@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 from chachart.sources.frontend.device import Link, damaged
 from chachart.sources.frontend.framing import encode_frame
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from chachart.node.counters import Counters
-from chachart.node.csi import CsiBlock
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.counters import Counters
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.checks import usable
 from chachart.sources.frontend.clock import DeviceClock
 from chachart.sources.frontend.packet import CsiPacket, Heartbeat, Hello, PacketError, decode

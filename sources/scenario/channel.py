@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.scenario.large_scale import QLOS, QNLOS
 from chachart.sources.scenario.los import LosChannel
 from chachart.sources.scenario.multipath import MultipathChannel

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.geometry import ArrayGeometry
 
 Floats = NDArray[np.float64]
 LayoutName = Literal["vip", "uniform", "grid"]

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from chachart.config.model import Settings
+from chachart.node.data.settings import Settings
 from chachart.sinks.base import Sink, SinkSettings
 from chachart.sources.base import EndOfSource, Source, SourceSettings
 

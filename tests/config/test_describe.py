@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pydantic import Field
 
 from chachart.config.describe import allowed, toml
-from chachart.config.model import Settings
+from chachart.node.data.settings import Settings
 
 
 class Example(Settings):

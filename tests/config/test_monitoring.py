@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 
 from chachart.node.commands.node import _parser
-from chachart.node.errors import EX_CONFIG
+from chachart.node.data.errors import EX_CONFIG
 from chachart.node.runtime.latency import Latency
 from chachart.node.runtime.status import NodeStatus
 from chachart.sinks.metrics import exposition

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from chachart.config.registry import available, settings_class, sink_class, source_class
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 
 
 def test_names_of_every_installed_package(plugins: Path) -> None:

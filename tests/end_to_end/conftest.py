@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from node_runs import ARRAY, Running, capture_blocks
 
-from chachart.node.recording import RecordingWriter
+from chachart.node.files.recording import RecordingWriter
 
 
 @pytest.fixture(scope="session")

@@ -16,8 +16,8 @@ from csi_samples import assert_same_frames
 from mcap.reader import make_reader
 from node_runs import ARRAY, Running, capture_blocks, until
 
-from chachart.node.csi import CsiBlock
-from chachart.node.recording import RecordingReader
+from chachart.node.data.csi import CsiBlock
+from chachart.node.files.recording import RecordingReader
 
 RunNode = Callable[..., Running]
 

@@ -14,10 +14,10 @@ import pytest
 from node_runs import ARRAY, DEADLINE_S, adds_up, capture_blocks, children, until
 
 from chachart.config.settings import EstimatorSettings, QualitySettings, WorkersSettings
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import RequestError, SetupError
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import RequestError, SetupError
 from chachart.node.estimation.estimator import ChartEstimator
-from chachart.node.recording import RecordingReader
+from chachart.node.files.recording import RecordingReader
 from chachart.node.runtime.node import Node
 from chachart.node.runtime.plan import Plan
 from chachart.sources.recording import Recording, RecordingSettings

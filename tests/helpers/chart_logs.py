@@ -9,9 +9,9 @@ import numpy as np
 from chart_samples import QUALITY, StillNode
 
 from chachart.config.settings import ArraySettings
-from chachart.node.chart import ChartUpdate, Method
-from chachart.node.geometry import ArrayGeometry
-from chachart.node.recording import RecordingWriter
+from chachart.node.data.chart import ChartUpdate, Method
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.files.recording import RecordingWriter
 from chachart.sinks.chart_log import ChartLog, ChartLogSettings
 from chachart.sources.base import EndOfSource
 from chachart.sources.simulator import Simulator, SimulatorSettings

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from chachart.node.chart import ChartUpdate, Method
+from chachart.node.data.chart import ChartUpdate, Method
 from chachart.node.runtime.status import NodeStatus
 
 QUALITY: dict[str, Any] = {"tw": 0.998, "ct": 0.997, "k": 5, "ues": 100, "stress": float("nan")}

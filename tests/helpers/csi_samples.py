@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from chachart.node.csi import CsiBlock
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
 
 START_NS = 1_700_000_000_000_000_000
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from chachart.node.csi import CsiBlock
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
-from chachart.node.geometry import ArrayGeometry
 from chachart.sources.base import EndOfSource, Source
 from chachart.sources.simulator import Simulator, SimulatorSettings
 

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from chachart.node.csi import CsiBlock
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
 
 DEADLINE_S = 60.0
 ARRAY = ArrayGeometry("lab", 16, 8, 2e9, 312_500.0, 0.0749481145)

@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
 from chachart.sources.base import EndOfSource, Source, SourceSettings
 
 BLOCKS = 20

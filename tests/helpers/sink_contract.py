@@ -12,8 +12,8 @@ from chart_samples import QUALITY, STATUS, StillNode, some_chart
 from csi_samples import some_block
 from pydantic import ValidationError
 
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sinks.base import Sink
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from chachart.node.chart import ChartUpdate, Method
+from chachart.node.data.chart import ChartUpdate, Method
 
 MakeUpdate = Callable[..., ChartUpdate]
 

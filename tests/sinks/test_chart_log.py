@@ -14,7 +14,7 @@ from mcap.exceptions import EndOfFile
 from mcap.reader import NonSeekingReader, make_reader
 from sink_contract import SinkCase, SinkContract
 
-from chachart.node.chart import ChartUpdate
+from chachart.node.data.chart import ChartUpdate
 from chachart.sinks.chart_log import ChartLog, ChartLogSettings
 
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from live_node import LiveNode, until
 
 from chachart.node.commands.main import main
-from chachart.node.errors import EX_CONFIG, RequestError
+from chachart.node.data.errors import EX_CONFIG, RequestError
 from chachart.sinks.control import _decode
 
 JSON = st.recursive(

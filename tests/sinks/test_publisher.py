@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sink_contract import SinkCase, SinkContract
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.wire import decode_chart, decode_report
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.net.wire import decode_chart, decode_report
 from chachart.sinks.publisher import ROWS_PER_MESSAGE, Publisher, PublisherSettings
 
 DEADLINE_S = 20.0

@@ -8,7 +8,7 @@ import pytest
 from csi_samples import assert_same_frames, small_array, some_block
 from sink_contract import SinkCase, SinkContract
 
-from chachart.node.recording import RecordingReader
+from chachart.node.files.recording import RecordingReader
 from chachart.sinks.recorder import Recorder, RecorderSettings
 
 WIDE = {"antennas": 64, "subcarriers": 32}

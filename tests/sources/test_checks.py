@@ -6,7 +6,7 @@ from csi_samples import assert_same_frames, some_block
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chachart.node.counters import Counters
+from chachart.node.data.counters import Counters
 from chachart.sources.checks import usable
 
 BAD = {"non_finite": [np.nan, np.inf, -np.inf, complex(0, np.nan)], "all_zero": [0.0]}

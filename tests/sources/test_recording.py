@@ -9,9 +9,9 @@ from csi_samples import START_NS, assert_same_frames, small_array, some_block
 from pydantic import ValidationError
 from source_contract import SourceCase, SourceContract, receive
 
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
-from chachart.node.recording import RecordingWriter
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
+from chachart.node.files.recording import RecordingWriter
 from chachart.sources.base import EndOfSource
 from chachart.sources.recording import Recording, RecordingSettings
 

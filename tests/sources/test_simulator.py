@@ -5,8 +5,8 @@ import pytest
 from source_contract import SourceCase, SourceContract
 
 from chachart.config.settings import ArraySettings
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
 from chachart.sources.base import EndOfSource
 from chachart.sources.scenario.channel import channels
 from chachart.sources.scenario.layout import place

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from source_contract import SourceCase, SourceContract, receive
 
-from chachart.node.csi import CsiBlock
-from chachart.node.wire import encode_csi
+from chachart.node.data.csi import CsiBlock
+from chachart.node.net.wire import encode_csi
 from chachart.sources.base import Source
 from chachart.sources.zmq import Numbering, ZmqSettings, ZmqSource
 

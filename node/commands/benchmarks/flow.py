@@ -17,13 +17,13 @@ import numpy as np
 import zmq
 
 from chachart.config.settings import ArraySettings
-from chachart.node.chart import ChartUpdate, Method
 from chachart.node.commands.benchmarks.report import Table
 from chachart.node.commands.benchmarks.timing import Timing, time_in_turn
-from chachart.node.csi import CsiBlock
-from chachart.node.geometry import ArrayGeometry
-from chachart.node.recording import RecordingReader, RecordingWriter
-from chachart.node.wire import decode_chart, decode_csi, encode_chart, encode_csi
+from chachart.node.data.chart import ChartUpdate, Method
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.files.recording import RecordingReader, RecordingWriter
+from chachart.node.net.wire import decode_chart, decode_csi, encode_chart, encode_csi
 from chachart.sinks.chart_log import ChartLog, ChartLogSettings
 from chachart.sinks.publisher import ROWS_PER_MESSAGE
 from chachart.sources.base import EndOfSource

@@ -17,7 +17,7 @@ import numpy as np
 from chachart.config.settings import ArraySettings
 from chachart.node.commands.benchmarks.kernels import noisy_blocks
 from chachart.node.commands.benchmarks.running import peak_bytes
-from chachart.node.csi import CsiBlock
+from chachart.node.data.csi import CsiBlock
 from chachart.node.estimation.estimator import ChartEstimator
 
 BLOCK = 64

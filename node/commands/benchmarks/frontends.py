@@ -19,10 +19,10 @@ import numpy as np
 from chachart.config.settings import ArraySettings
 from chachart.node.commands.benchmarks.report import Table
 from chachart.node.commands.benchmarks.timing import Timing, time_in_turn
-from chachart.node.commands.cli import progress
-from chachart.node.counters import Counters
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.commands.shared.cli import progress
+from chachart.node.data.counters import Counters
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import EndOfSource, Source
 from chachart.sources.frontend import packet
 from chachart.sources.frontend.address import FrontEndAddress

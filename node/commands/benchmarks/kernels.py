@@ -18,11 +18,11 @@ from chachart.config.settings import ArraySettings
 from chachart.node.commands.benchmarks import textbook
 from chachart.node.commands.benchmarks.report import Cell, Table
 from chachart.node.commands.benchmarks.timing import Timing
-from chachart.node.commands.cli import progress
-from chachart.node.csi import CsiBlock
+from chachart.node.commands.shared.cli import progress
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.options import JOINT, SPECTRAL
-from chachart.node.geometry import ArrayGeometry
 from chachart.sources.scenario.channel import channels
 from chachart.sources.scenario.layout import place
 

@@ -20,17 +20,18 @@ import numpy as np
 import zmq
 from numpy.typing import NDArray
 
-from chachart.config.settings import ArraySettings, RhoMethod, ThetaMethod
-from chachart.node.client import subscribe
+from chachart.config.settings import ArraySettings
 from chachart.node.commands.benchmarks.kernels import noisy_blocks
 from chachart.node.commands.benchmarks.report import Table
 from chachart.node.commands.benchmarks.running import Outcome, RunningNode
 from chachart.node.commands.benchmarks.timing import Timing
-from chachart.node.commands.cli import progress
-from chachart.node.csi import CsiBlock
-from chachart.node.geometry import ArrayGeometry
-from chachart.node.recording import RecordingWriter
-from chachart.node.wire import encode_csi
+from chachart.node.commands.shared.cli import progress
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.data.methods import RhoMethod, ThetaMethod
+from chachart.node.files.recording import RecordingWriter
+from chachart.node.net.client import subscribe
+from chachart.node.net.wire import encode_csi
 
 SHARES = (0.1, 0.5, 0.9)
 LATENCY_FRAMES = 16

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from chachart.node.commands.benchmarks.report import Table
 from chachart.node.commands.benchmarks.timing import time_in_turn
-from chachart.node.commands.cli import progress
+from chachart.node.commands.shared.cli import progress
 from chachart.node.estimation.quality import Neighbourhoods, neighbourhoods
 
 Points = NDArray[np.float64]

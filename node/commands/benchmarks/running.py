@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 
 WATCH_EVERY_S = 0.1
 END_WITHIN_S = 60.0

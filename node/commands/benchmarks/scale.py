@@ -8,9 +8,9 @@ import subprocess
 import sys
 from typing import Any, get_args
 
-from chachart.config.settings import RhoMethod, ThetaMethod
 from chachart.node.commands.benchmarks.report import Table
-from chachart.node.commands.cli import progress
+from chachart.node.commands.shared.cli import progress
+from chachart.node.data.methods import RhoMethod, ThetaMethod
 
 UES = (1_000, 10_000, 100_000, 1_000_000)
 SIZES = ((8, 32), (16, 32), (32, 32), (64, 32), (128, 32), (32, 1), (32, 8), (32, 64), (32, 128), (128, 128))

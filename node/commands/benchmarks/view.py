@@ -18,7 +18,7 @@ from chachart.node.commands.benchmarks.kernels import noisy_blocks
 from chachart.node.commands.benchmarks.report import Table
 from chachart.node.commands.benchmarks.running import Outcome, RunningNode
 from chachart.node.commands.benchmarks.timing import Timing
-from chachart.node.commands.cli import progress
+from chachart.node.commands.shared.cli import progress
 
 CASES = {"no view": (False, 0), "a view, nobody looks": (True, 0), "one viewer": (True, 1)}
 TRY_EVERY_S = 0.05

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 
 Variables = dict[str, Any]
 

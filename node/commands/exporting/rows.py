@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.errors import SetupError
-from chachart.node.geodesy import beside
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.commands.exporting.geodesy import beside
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
 
 GROUP_ROWS = 65_536
 """Rows of a Parquet row group."""

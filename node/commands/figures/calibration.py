@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from chachart.config.calibration import load_calibration
-from chachart.node.calibration import Calibration
 from chachart.node.commands.figures.style import BLUE, GREEN, INK, ORANGE, PURPLE, new_figure
-from chachart.node.errors import SetupError
-from chachart.node.recording import RecordingReader
+from chachart.node.data.calibration import Calibration
+from chachart.node.data.errors import SetupError
+from chachart.node.files.calibration import load_calibration
+from chachart.node.files.recording import RecordingReader
 
 APART = 0.2
 """Of several calibrations, the first is drawn so far left of the element and the last so far right."""

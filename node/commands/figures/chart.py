@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from chachart.node.commands.charting import Charted, charted
 from chachart.node.commands.figures.style import WIDTH_IN, limits, new_figure
+from chachart.node.commands.shared.charting import Charted, charted
 
 COMPARABLE = 3.0
 """Truth and chart have the same limits unless one is so many times larger."""

@@ -7,8 +7,8 @@ import argparse
 import numpy as np
 from matplotlib.figure import Figure
 
-from chachart.node.commands.charting import Charted, charted
 from chachart.node.commands.figures.style import WIDTH_IN, limits, new_figure
+from chachart.node.commands.shared.charting import Charted, charted
 from chachart.node.estimation.quality import position_errors
 
 WORST_SHARE = 98.0

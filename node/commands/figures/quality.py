@@ -11,13 +11,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from chachart.node.chart_log import ChartLogReader, is_chart_log
-from chachart.node.commands.charting import Charted, charted
 from chachart.node.commands.figures.style import BLUE, ORANGE, new_figure, share, share_axis, share_limits
-from chachart.node.errors import SetupError
+from chachart.node.commands.shared.charting import Charted, charted
+from chachart.node.data.errors import SetupError
 from chachart.node.estimation.curves import neighbour_ranks, neighbourhood_curves
 from chachart.node.estimation.quality import DEFAULT_K_SHARE
-from chachart.node.mcap_chunks import MAGIC
+from chachart.node.files.chart_log import ChartLogReader, is_chart_log
+from chachart.node.files.mcap_chunks import MAGIC
 
 MOST_UES = 4096
 """Of more, so many drawn at random stand for all: ranks take memory with the square."""

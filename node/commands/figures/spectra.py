@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from chachart.node.chart_log import is_chart_log
-from chachart.node.commands.charting import estimate, estimator_for, settings_for
 from chachart.node.commands.figures.style import BLUE, INK, ORANGE, new_figure
-from chachart.node.errors import SetupError
-from chachart.node.recording import RecordingReader
+from chachart.node.commands.shared.charting import estimate, estimator_for, settings_for
+from chachart.node.data.errors import SetupError
+from chachart.node.files.chart_log import is_chart_log
+from chachart.node.files.recording import RecordingReader
 
 FLOOR_DB = -60.0
 """No spectrum is drawn below."""

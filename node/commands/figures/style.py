@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
 
-from chachart.node.commands.cli import written_whole
-from chachart.node.errors import SetupError
+from chachart.node.commands.shared.cli import written_whole
+from chachart.node.data.errors import SetupError
 
 WIDTH_IN = 3.5
 DPI = 300

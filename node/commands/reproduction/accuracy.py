@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.commands.reproduction.scenario import noisy
-from chachart.node.csi import CsiBlock
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation import bounds
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.manifold import AngleManifold, DelayManifold
-from chachart.node.geometry import ArrayGeometry
 
 Floats = NDArray[np.float64]
 

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from chachart.node.chart import ChartUpdate
 from chachart.node.commands.reproduction.paper import Pair
 from chachart.node.commands.reproduction.scenario import KNOWN_UES, Scene
+from chachart.node.data.chart import ChartUpdate
 from chachart.node.estimation.curves import Ranks, neighbour_ranks, neighbourhood_curves
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.quality import position_errors

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.config.settings import ArraySettings
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
-from chachart.node.recording import RecordingReader
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.files.recording import RecordingReader
 from chachart.sources.scenario.channel import channels, mean_power
 from chachart.sources.scenario.layout import place
 

@@ -4,14 +4,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chachart.config.calibration import load_calibration
 from chachart.config.settings import ArraySettings
-from chachart.node.calibration import Calibration
 from chachart.node.commands.main import main
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
+from chachart.node.data.calibration import Calibration
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
 from chachart.node.estimation.estimator import ChartEstimator
-from chachart.node.recording import RecordingReader, RecordingWriter
+from chachart.node.files.calibration import load_calibration
+from chachart.node.files.recording import RecordingReader, RecordingWriter
 from chachart.node.runtime.plan import resolve_array
 from chachart.node.runtime.processor import BlockProcessor, FrameClock
 from chachart.sources.base import EndOfSource

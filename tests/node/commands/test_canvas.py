@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chachart.node.commands.canvas import characters, fit, scatter
+from chachart.node.commands.shared.canvas import characters, fit, scatter
 
 
 def test_each_dot_has_its_place() -> None:

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from chachart.config.calibration import save_calibration
 from chachart.config.settings import ArraySettings
-from chachart.node.calibration import Calibration
 from chachart.node.commands.main import main
-from chachart.node.csi import CsiBlock
-from chachart.node.recording import RecordingReader, RecordingWriter
+from chachart.node.data.calibration import Calibration
+from chachart.node.data.csi import CsiBlock
+from chachart.node.files.calibration import save_calibration
+from chachart.node.files.recording import RecordingReader, RecordingWriter
 from chachart.sources.base import EndOfSource
 from chachart.sources.simulator import Simulator, SimulatorSettings
 

@@ -11,8 +11,8 @@ from csi_samples import START_NS, assert_same_frames, small_array, some_block
 from scipy.io import loadmat
 
 from chachart.node.commands.main import main
-from chachart.node.csi import CsiBlock
-from chachart.node.recording import RecordingReader, RecordingWriter
+from chachart.node.data.csi import CsiBlock
+from chachart.node.files.recording import RecordingReader, RecordingWriter
 
 ENDINGS = [".npz", ".h5", ".hdf5", ".mat"]
 

@@ -12,7 +12,7 @@ from pyarrow import parquet
 
 from chachart.node.commands.exporting.rows import Place
 from chachart.node.commands.main import main
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 
 HERE = ["--latitude", "48.0", "--longitude", "11.5", "--heading-deg", "90"]
 

@@ -8,8 +8,8 @@ import pytest
 from capture_files import dichasus
 
 from chachart.node.commands.main import main
-from chachart.node.csi import CsiBlock
-from chachart.node.recording import RecordingReader
+from chachart.node.data.csi import CsiBlock
+from chachart.node.files.recording import RecordingReader
 
 CSI = 3e-6 * np.random.default_rng(1).standard_normal((100, 4, 8, 2)).view(np.complex128)[..., 0]
 POSITION = np.random.default_rng(2).uniform(0, 100, (100, 3))

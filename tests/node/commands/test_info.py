@@ -9,10 +9,10 @@ import pytest
 from chart_logs import near_truth, write_chart_log
 
 from chachart.config.settings import ArraySettings
-from chachart.node.calibration import Calibration
 from chachart.node.commands.main import main
-from chachart.node.csi import CsiBlock
-from chachart.node.recording import RecordingWriter
+from chachart.node.data.calibration import Calibration
+from chachart.node.data.csi import CsiBlock
+from chachart.node.files.recording import RecordingWriter
 
 
 @pytest.fixture

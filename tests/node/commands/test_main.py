@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from chachart.node.commands.cli import guarded
 from chachart.node.commands.main import COMMANDS, main
-from chachart.node.errors import SetupError
+from chachart.node.commands.shared.cli import guarded
+from chachart.node.data.errors import SetupError
 
 CHACHART = [sys.executable, "-m", "chachart.node.commands.main"]
 

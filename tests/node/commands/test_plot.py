@@ -9,9 +9,9 @@ import pytest
 from chart_logs import near_truth, write_chart_log, write_recording
 from PIL import Image
 
-from chachart.config.calibration import save_calibration
-from chachart.node.calibration import Calibration
 from chachart.node.commands.main import main
+from chachart.node.data.calibration import Calibration
+from chachart.node.files.calibration import save_calibration
 
 COLUMN_PIXELS = 1050
 

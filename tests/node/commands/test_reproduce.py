@@ -10,8 +10,8 @@ import pytest
 
 from chachart.node.commands.main import main
 from chachart.node.commands.reproduction.scenario import modelled, scenario_array
-from chachart.node.csi import CsiBlock
-from chachart.node.recording import RecordingWriter
+from chachart.node.data.csi import CsiBlock
+from chachart.node.files.recording import RecordingWriter
 from chachart.sources.scenario.channel import channels
 
 UES, FRAMES = 300, 2

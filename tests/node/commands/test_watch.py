@@ -13,8 +13,8 @@ import pytest
 import zmq
 from chart_samples import STATUS
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.wire import chart_topic, encode_chart, encode_report
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.net.wire import chart_topic, encode_chart, encode_report
 
 CHACHART = [sys.executable, "-m", "chachart.node.commands.main"]
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.csi import CsiBlock
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
-from chachart.node.geometry import ArrayGeometry
 
 
 class Los:

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from chachart.node.csi import CsiBlock
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation import bounds
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.noise import NoiseFloor
 from chachart.node.estimation.quality import assess
-from chachart.node.geometry import ArrayGeometry
 
 Build = Callable[..., Any]
 UES = 640

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation import calibrate
-from chachart.node.geometry import ArrayGeometry
 
 N = 32
 ARRAY = ArrayGeometry("lab", N, 4, 2e9, 1e6, 0.0749481145, (0.0, 0.0, 10.0))

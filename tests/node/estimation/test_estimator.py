@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from chachart.config.settings import EstimatorSettings
-from chachart.node.csi import CsiBlock
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.options import SPECTRAL, Options
-from chachart.node.geometry import ArrayGeometry
 
 Build = Callable[..., Any]
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.csi import CsiBlock
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation import bounds, quality
 from chachart.node.estimation.covariance import Grouping
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.joint import JointLocator, PhaseWatch
 from chachart.node.estimation.options import Options
-from chachart.node.geometry import ArrayGeometry
 
 Build = Callable[..., Any]
 WIDE: dict[str, Any] = {"subcarrier_spacing_hz": 312.5e3}

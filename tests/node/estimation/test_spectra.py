@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation import order, spectra
 from chachart.node.estimation.covariance import LagSums, forward_backward
 from chachart.node.estimation.manifold import (
@@ -17,7 +18,6 @@ from chachart.node.estimation.manifold import (
     powers,
 )
 from chachart.node.estimation.subspace import SubspaceTracker, dominant
-from chachart.node.geometry import ArrayGeometry
 
 
 def lags(factor: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chachart.node.csi import CsiBlock
+from chachart.node.data.csi import CsiBlock
 from chachart.node.runtime.partition import Partitioner, Piece, shard_of
 
 Sizes = st.lists(st.integers(1, 70), min_size=1, max_size=12)

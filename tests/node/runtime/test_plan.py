@@ -8,8 +8,8 @@ from csi_samples import small_array, some_block
 import chachart.config
 from chachart.config.load import load
 from chachart.config.settings import ArraySettings, EstimatorSettings
-from chachart.node.errors import SetupError
-from chachart.node.recording import RecordingWriter
+from chachart.node.data.errors import SetupError
+from chachart.node.files.recording import RecordingWriter
 from chachart.node.runtime.plan import Plan, check, estimator_problems, resolve_array
 from chachart.sources.recording import Recording, RecordingSettings
 from chachart.sources.simulator import Simulator, SimulatorSettings

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from csi_samples import small_array, some_block
 
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import RequestError
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import RequestError
 from chachart.node.runtime.processor import BlockProcessor, FrameClock
 
 ARRAY = small_array(8, 4)

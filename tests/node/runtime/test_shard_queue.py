@@ -6,7 +6,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from chachart.node.csi import CsiBlock
+from chachart.node.data.csi import CsiBlock
 from chachart.node.runtime.partition import Piece
 from chachart.node.runtime.shard_queue import MAX_DEATHS, Entry, ShardQueue
 

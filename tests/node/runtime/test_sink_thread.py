@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from chachart.node.chart import ChartUpdate, Method
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.chart import ChartUpdate, Method
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.runtime.sink_thread import SinkThread
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chachart.node.chart import ChartUpdate, Method
+from chachart.node.data.chart import ChartUpdate, Method
 from chachart.node.runtime.messages import pack_update, unpack_update
 from chachart.node.runtime.table import ChartTable
 

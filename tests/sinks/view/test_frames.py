@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from chachart.node.chart import ChartUpdate, Method
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.chart import ChartUpdate, Method
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sinks.view.frames import encode_frame
 
 ARRAY = ArrayGeometry("lab", 8, 4, 2e9, 312_500.0, 0.075, position_m=(1.0, 2.0, 10.0))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from chachart.node.errors import RequestError, SetupError
+from chachart.node.data.errors import RequestError, SetupError
 from chachart.sinks.metrics import Metrics, MetricsSettings
 from chachart.sinks.web.server import THREADS, WAITING_LIMIT, Answer, Query, Route, WebServer, WebSettings
 

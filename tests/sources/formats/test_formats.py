@@ -10,7 +10,7 @@ from capture_files import CSI, POSITION, write
 from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 from chachart.sources.formats import open_capture
 
 KINDS = ["npz", "npz_compressed", "matlab", "matlab_compressed", "hdf5", "matlab73"]

@@ -9,7 +9,7 @@ import pytest
 from scipy.io import savemat
 from scipy.sparse import eye
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 from chachart.sources.formats import open_capture
 
 RNG = np.random.default_rng(1)

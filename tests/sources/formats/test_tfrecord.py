@@ -8,7 +8,7 @@ from capture_files import CSI, POSITION, dichasus, example, field, record, tenso
 from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 from chachart.sources.formats import open_capture
 from chachart.sources.formats.arrange import frames
 from chachart.sources.formats.crc32c import crc32c

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 from wifi_captures import atheros, esp32, intel5300, nexmon
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 from chachart.sources.formats import open_capture
 from chachart.sources.formats.arrange import frames
 from chachart.sources.formats.base import Capture

@@ -2,7 +2,7 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis.extra import numpy as hnp
 
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.frontend.packet import CsiPacket, Heartbeat, Hello, SampleFormat
 
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from source_contract import SourceCase, SourceContract, receive
 
-from chachart.node.counters import Counters
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
+from chachart.node.data.counters import Counters
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
 from chachart.sources.frontend.address import FrontEndAddress
 from chachart.sources.frontend.can import CanSettings, CanSource
 from chachart.sources.frontend.can_link import CanLink, segments

@@ -8,8 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from source_contract import SourceCase, SourceContract
 
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
 from chachart.sources.base import EndOfSource
 from chachart.sources.frontend.can import CanSettings, CanSource
 from chachart.sources.frontend.can_log import CanLog, CanLogSettings

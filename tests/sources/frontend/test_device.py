@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from front_ends import ARRAY, scenario
 
-from chachart.node.counters import Counters
-from chachart.node.csi import CsiBlock
+from chachart.node.data.counters import Counters
+from chachart.node.data.csi import CsiBlock
 from chachart.sources.base import EndOfSource, Source, SourceSettings
 from chachart.sources.frontend.device import FaultSettings, Link, SimulatedFrontEnd, damaged
 from chachart.sources.frontend.framing import StreamDecoder, encode_frame

@@ -10,7 +10,7 @@ import sys
 sys.modules.update(dict.fromkeys({missing!r}))
 from chachart.config.registry import source_class
 from chachart.config.settings import ArraySettings
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 from chachart.node.commands.main import main
 cls = source_class({name!r})
 settings = cls.Settings.model_validate({{"type": {name!r}}})

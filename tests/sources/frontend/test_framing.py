@@ -3,7 +3,7 @@ import itertools
 import hypothesis.strategies as st
 from hypothesis import given
 
-from chachart.node.counters import Counters
+from chachart.node.data.counters import Counters
 from chachart.sources.frontend.framing import StreamDecoder, encode_frame
 
 PACKET = st.binary(min_size=1, max_size=300)

@@ -7,8 +7,8 @@ import pytest
 from front_ends import ARRAY, assert_same_chart, direct, front_end, listen, origin, report, scenario
 from source_contract import SourceCase, SourceContract, receive
 
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
 from chachart.sources.frontend.framing import encode_frame
 from chachart.sources.frontend.packet import CsiPacket, SampleFormat, encode
 from chachart.sources.frontend.serial import SerialSettings, SerialSource

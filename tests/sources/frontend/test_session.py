@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from chachart.node.counters import Counters
+from chachart.node.data.counters import Counters
 from chachart.sources.frontend.packet import CsiPacket, Heartbeat, Hello, SampleFormat, encode
 from chachart.sources.frontend.session import WINDOW, Intake, SequenceTracker
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import ks_2samp
 
 from chachart.config.settings import ArraySettings
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 from chachart.sources.scenario import multipath
 from chachart.sources.scenario.channel import channels, make_channel
 from chachart.sources.scenario.large_scale import QLOS, QNLOS

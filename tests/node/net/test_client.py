@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import zmq
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.client import Subscription, subscribe
-from chachart.node.errors import SetupError
-from chachart.node.wire import chart_topic, encode_chart, encode_report
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.errors import SetupError
+from chachart.node.net.client import Subscription, subscribe
+from chachart.node.net.wire import chart_topic, encode_chart, encode_report
 
 MakeUpdate = Callable[..., ChartUpdate]
 PATIENCE_S = 20.0

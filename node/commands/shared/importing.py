@@ -14,9 +14,9 @@ from pydantic import ValidationError
 
 from chachart.config.describe import allowed
 from chachart.config.settings import ArraySettings
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.formats.arrange import (
     column,
     defects,

@@ -24,15 +24,15 @@ from typing import Any, Self
 
 import numpy as np
 
-from chachart.node.chart_log import is_chart_log
-from chachart.node.counters import Counters
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
-from chachart.node.mcap_chunks import ChunkSpan, DamagedChunk, FileIndex, read_index, read_messages
-from chachart.node.mcap_writer import McapWriter, OutgoingMessage
-from chachart.node.recording_totals import Account, Totals
-from chachart.node.wire import WireError, decode_csi_map, encode_csi_map
+from chachart.node.data.counters import Counters
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.files.chart_log import is_chart_log
+from chachart.node.files.mcap_chunks import ChunkSpan, DamagedChunk, FileIndex, read_index, read_messages
+from chachart.node.files.mcap_writer import McapWriter, OutgoingMessage
+from chachart.node.files.recording_totals import Account, Totals
+from chachart.node.net.wire import WireError, decode_csi_map, encode_csi_map
 
 FORMAT = "1"
 MESSAGE_FRAMES = 64

@@ -6,10 +6,10 @@ from csi_samples import small_array
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chachart.config.calibration import load_calibration, save_calibration
 from chachart.config.settings import ArraySettings
-from chachart.node.calibration import Calibration
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.calibration import Calibration
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.files.calibration import load_calibration, save_calibration
 
 
 def some_calibration(antennas: int = 4, subcarriers: int = 3) -> Calibration:

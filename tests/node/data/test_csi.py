@@ -9,7 +9,7 @@ from csi_samples import assert_same_frames, some_block
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chachart.node.csi import CsiBlock
+from chachart.node.data.csi import CsiBlock
 
 
 def test_sizes() -> None:

@@ -8,7 +8,7 @@ from chart_samples import some_chart
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chachart.node.chart import ChartUpdate
+from chachart.node.data.chart import ChartUpdate
 
 
 def test_columns_of_other_lengths_are_refused() -> None:

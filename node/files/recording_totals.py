@@ -10,7 +10,7 @@ from typing import Self
 
 import numpy as np
 
-from chachart.node.csi import CsiBlock
+from chachart.node.data.csi import CsiBlock
 
 
 @dataclass(frozen=True, slots=True)

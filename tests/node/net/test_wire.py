@@ -16,9 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from chachart.node.chart import ChartUpdate, Method
-from chachart.node.csi import CsiBlock
-from chachart.node.wire import (
+from chachart.node.data.chart import ChartUpdate, Method
+from chachart.node.data.csi import CsiBlock
+from chachart.node.net.wire import (
     MAX_HEADER_BYTES,
     WireError,
     chart_topic,

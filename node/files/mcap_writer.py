@@ -28,7 +28,7 @@ from mcap.records import (
 )
 from mcap.writer import LIBRARY_IDENTIFIER
 
-from chachart.node.mcap_chunks import CHUNK, MAGIC, MESSAGE, RECORD
+from chachart.node.files.mcap_chunks import CHUNK, MAGIC, MESSAGE, RECORD
 
 _CHANNEL = _SCHEMA = 1
 

@@ -16,10 +16,10 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from chachart.node.chart import ChartUpdate, Method
-from chachart.node.counters import Counters
-from chachart.node.errors import SetupError
-from chachart.node.geometry import ArrayGeometry
+from chachart.node.data.chart import ChartUpdate, Method
+from chachart.node.data.counters import Counters
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
 
 HEAD = "chachart.chart"
 """Name of the metadata record at the start of a chart log."""

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chachart.node.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M, beside
+from chachart.node.commands.exporting.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M, beside
 
 FAR = st.floats(-10_000, 10_000)
 

@@ -15,8 +15,8 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from chachart.node.chart import ChartUpdate, Method
-from chachart.node.csi import CsiBlock
+from chachart.node.data.chart import ChartUpdate, Method
+from chachart.node.data.csi import CsiBlock
 
 VERSION = 1
 MAX_HEADER_BYTES = 4 * 1024 * 1024

@@ -12,17 +12,18 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from chachart.config.calibration import load_calibration
 from chachart.config.load import NodeSettings, settings_of
-from chachart.config.settings import EstimatorSettings, RhoMethod, ThetaMethod
-from chachart.node.chart import ChartUpdate
-from chachart.node.chart_log import ChartLogReader, is_chart_log
-from chachart.node.commands.cli import progress
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
+from chachart.config.settings import EstimatorSettings
+from chachart.node.commands.shared.cli import progress
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.data.methods import RhoMethod, ThetaMethod
 from chachart.node.estimation.estimator import ChartEstimator
-from chachart.node.geometry import ArrayGeometry
-from chachart.node.recording import RecordingReader
+from chachart.node.files.calibration import load_calibration
+from chachart.node.files.chart_log import ChartLogReader, is_chart_log
+from chachart.node.files.recording import RecordingReader
 
 BATCH_FRAMES = 1024
 """Frames that the estimator gets at once: one estimate for each UE among them."""

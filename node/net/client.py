@@ -1,6 +1,6 @@
 """For people who subscribe to a node's charts.
 
-    from chachart.node.client import subscribe
+    from chachart.node.net.client import subscribe
 
     with subscribe("tcp://127.0.0.1:5556", array="lab") as charts:
         for update in charts:
@@ -18,10 +18,10 @@ from typing import Any, Self
 
 import zmq
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.counters import Counters
-from chachart.node.errors import SetupError
-from chachart.node.wire import WireError, decode_chart, decode_report
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.counters import Counters
+from chachart.node.data.errors import SetupError
+from chachart.node.net.wire import WireError, decode_chart, decode_report
 
 ENDPOINT = "tcp://127.0.0.1:5556"
 """Where the default node publishes."""

@@ -7,11 +7,11 @@ import tomllib
 from pathlib import Path
 from typing import Literal
 
+import tomli_w
 from pydantic import Field, ValidationError
 
-from chachart.config.describe import toml
-from chachart.config.model import Settings
-from chachart.node.calibration import Calibration
+from chachart.node.data.calibration import Calibration
+from chachart.node.data.settings import Settings
 
 
 class AntennaTable(Settings):
@@ -84,7 +84,9 @@ def save_calibration(path: Path, calibration: Calibration, note: str) -> None:
         If it cannot be written.
     """
     c = calibration
-    tables = {
+    document = {
+        "version": 1,
+        "note": note,
         "antenna": {
             "order": c.antenna_order,
             "gain_db": _db(c.antenna_gain),
@@ -92,10 +94,7 @@ def save_calibration(path: Path, calibration: Calibration, note: str) -> None:
         },
         "subcarrier": {"gain_db": _db(c.subcarrier_gain), "phase_deg": _degrees(c.subcarrier_phase_rad)},
     }
-    lines = ["version = 1", f"note = {toml(note)}"]
-    for name, table in tables.items():
-        lines += ["", f"[{name}]", *(f"{key} = {toml(value)}" for key, value in table.items())]
-    path.write_text("\n".join(lines) + "\n", "utf-8")
+    path.write_text(tomli_w.dumps(document), "utf-8")
 
 
 def _db(gains: tuple[float, ...]) -> tuple[float, ...]:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import zmq
 from pydantic import Field
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 
 Endpoint = Annotated[str, Field(pattern=r"^(tcp|ipc)://\S+$", max_length=256)]
 """A setting that names an endpoint."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from chachart.node.errors import EX_CONFIG, SetupError
+from chachart.node.data.errors import EX_CONFIG, SetupError
 
 EX_INTERRUPTED = 130
 EX_BROKEN_PIPE = 141

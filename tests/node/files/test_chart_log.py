@@ -9,9 +9,9 @@ from chart_logs import near_truth, plotted_array, write_chart_log, write_recordi
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chachart.node.chart import ChartUpdate
-from chachart.node.chart_log import ChartLogReader, is_chart_log
-from chachart.node.errors import SetupError
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.errors import SetupError
+from chachart.node.files.chart_log import ChartLogReader, is_chart_log
 
 
 @pytest.mark.parametrize("settings", [{}, {"encoding": "msgpack"}, {"foxglove": True}])

@@ -10,7 +10,7 @@ from csi_samples import small_array
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chachart.node.geometry import SPEED_OF_LIGHT, ArrayGeometry
+from chachart.node.data.geometry import SPEED_OF_LIGHT, ArrayGeometry
 
 metres = st.floats(-1e4, 1e4)
 

@@ -21,11 +21,11 @@ from mcap.records import ChunkIndex, SummaryOffset
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
-from chachart.node.calibration import Calibration
-from chachart.node.csi import CsiBlock
-from chachart.node.errors import SetupError
-from chachart.node.recording import RecordingReader, RecordingWriter
-from chachart.node.wire import decode_csi_map
+from chachart.node.data.calibration import Calibration
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
+from chachart.node.files.recording import RecordingReader, RecordingWriter
+from chachart.node.net.wire import decode_csi_map
 
 MS = 1_000_000
 one_folder = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -196,7 +196,7 @@ def test_a_killed_writer_loses_its_last_chunk_only(tmp_path: Path) -> None:
     code = (
         "import os, signal\n"
         "from csi_samples import small_array, some_block\n"
-        "from chachart.node.recording import RecordingWriter\n"
+        "from chachart.node.files.recording import RecordingWriter\n"
         f"w = RecordingWriter({str(path)!r}, small_array(), note={{'calibrated': True}}, chunk_bytes=2048)\n"
         "for i in range(53):\n"
         "    w.write(some_block(5, seq=5 * i))\n"

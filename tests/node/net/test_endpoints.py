@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 import zmq
 
-from chachart.node.endpoints import bind, bind_problems, connect
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
+from chachart.node.net.endpoints import bind, bind_problems, connect
 
 
 @pytest.mark.parametrize("port", ["65536", "99999", "4294967376"])

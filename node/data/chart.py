@@ -35,7 +35,7 @@ class ChartUpdate:
     theta_std, rho_std
         float64 (K,): standard deviations of theta (rad) and rho (m); NaN where the method gives none.
     x, y
-        float64 (K,): chart coordinates in metres, see `chachart.node.geometry`.
+        float64 (K,): chart coordinates in metres, see `chachart.node.data.geometry`.
     snr
         float64 (K,): signal to noise ratio in dB.
     snapshots

@@ -20,7 +20,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Metadata
 
-from chachart.node.errors import SetupError
+from chachart.node.data.errors import SetupError
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 512 * 1024 * 1024

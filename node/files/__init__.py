@@ -1,0 +1,1 @@
+"""MCAP recordings and chart logs, and calibration files."""

@@ -1,0 +1,1 @@
+"""The wire protocol, its endpoints, and a client for it."""
