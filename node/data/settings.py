@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict
 class Settings(BaseModel):
     """Frozen, typed, and strict about names: a key that no field has is a mistake, not a comment.
 
-    A docstring under a field becomes its description, in sample files and in the README's table.
+    A docstring under a field becomes its description, in sample files and in config/SETTINGS.md.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, allow_inf_nan=False)

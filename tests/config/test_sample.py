@@ -69,10 +69,10 @@ def test_the_table_has_every_setting_of_chachart_alone(plugins: Path) -> None:
     assert len({line.count("|") - line.count("\\|") for line in table.splitlines() if "|" in line}) == 1
 
 
-def test_the_readme_has_the_table() -> None:
-    readme = (Path(__file__).resolve().parents[2] / "README.md").read_text()
-    begin, end = readme.find(sample.TABLE_BEGINS), readme.find(sample.TABLE_ENDS)
-    assert readme[begin : end + len(sample.TABLE_ENDS)] == sample.table()
+def test_the_page_of_settings_has_the_table() -> None:
+    page = (Path(__file__).resolve().parents[2] / "config" / "SETTINGS.md").read_text()
+    begin, end = page.find(sample.TABLE_BEGINS), page.find(sample.TABLE_ENDS)
+    assert page[begin : end + len(sample.TABLE_ENDS)] == sample.table()
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
