@@ -25,6 +25,7 @@ from chachart.node.commands.shared.charting import (
     settings_for,
 )
 from chachart.node.commands.shared.cli import check_writable
+from chachart.node.data.extras import require
 from chachart.node.estimation.quality import assess
 from chachart.node.files.recording import RecordingReader
 
@@ -48,6 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
     for path in (arguments.chart, arguments.json):
         if path is not None:
             check_writable(path, force=True)
+    if arguments.chart is not None:
+        require("plot", "--chart:")
     settings = settings_for(arguments, arguments.recording)
     reader = RecordingReader(arguments.recording)
     estimator = estimator_for(reader, settings, arguments.calibration)

@@ -106,17 +106,17 @@ def _source(arguments: argparse.Namespace) -> Source:
 
 
 def _link(arguments: argparse.Namespace) -> Link:
-    from chachart.sources.frontend.drivers import require
+    from chachart.node.data.extras import require
 
     if arguments.serial is not None:
-        require("serial")
+        require("serial", "chachart frontend:")
         from chachart.sources.frontend.serial_link import PortLink, PtyLink
 
         if arguments.serial != "pty" and not arguments.serial.startswith("pty:"):
             return PortLink(arguments.serial, arguments.baudrate)
         path = arguments.serial.removeprefix("pty").removeprefix(":")
         return PtyLink(Path(path) if path else None)
-    require("can")
+    require("can", "chachart frontend:")
     from chachart.sources.frontend.address import FrontEndAddress, distinct
     from chachart.sources.frontend.can_bus import CanBusSettings
     from chachart.sources.frontend.can_link import CanLink

@@ -9,6 +9,7 @@ from difflib import get_close_matches
 from importlib import import_module
 
 from chachart.node.commands.shared.cli import guarded
+from chachart.node.data.version import build
 
 COMMANDS = {
     "bench": "measure how fast this machine runs chachart",
@@ -36,6 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="chachart", description="Tools for channel charting. The node itself is chachart-node."
     )
+    parser.add_argument("--version", action="version", version=f"chachart {build()}")
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
     called = next((word for word in argv if not word.startswith("-")), None)
     if called is not None and called not in COMMANDS:

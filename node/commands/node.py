@@ -22,6 +22,7 @@ from rich.logging import RichHandler
 
 from chachart.config.load import load
 from chachart.node.data.errors import EX_CONFIG, SetupError
+from chachart.node.data.version import build
 from chachart.node.runtime import logs
 from chachart.node.runtime.node import Node
 from chachart.node.runtime.panel import line, panel, summary_lines
@@ -62,6 +63,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Turn the CSI of an antenna array into a live channel chart.",
         epilog="Without --config the shipped lab.toml is used: a simulated array, published on port 5556.",
     )
+    parser.add_argument("--version", action="version", version=f"chachart-node {build()}")
     parser.add_argument("--config", type=Path, metavar="FILE", help="the node's settings, in TOML")
     parser.add_argument(
         "--set",
@@ -126,6 +128,7 @@ def _run(plan: Plan, options: argparse.Namespace) -> int:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     node = Node(plan, logging.getLevelNamesMapping()[options.log_level])
     signals = _Signals(node)
+    log.info("chachart %s", build())
     node.start()
     for name, where in node.addresses():
         log.info("%s: %s", name, where)

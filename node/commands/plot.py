@@ -19,6 +19,7 @@ from pathlib import Path
 from chachart.node.commands.shared.charting import add_options
 from chachart.node.commands.shared.cli import check_writable
 from chachart.node.data.errors import SetupError
+from chachart.node.data.extras import require
 
 FIGURES = {
     "chart": "true positions and chart side by side, coloured by true position",
@@ -62,6 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     """
     if arguments.output.suffix.lower() not in FORMATS:
         raise SetupError(f"{arguments.output} must end in one of {', '.join(FORMATS)}")
+    require("plot", "chachart plot:")
     check_writable(arguments.output, force=True)
     module = import_module(f"chachart.node.commands.figures.{arguments.figure}")
     style = import_module("chachart.node.commands.figures.style")

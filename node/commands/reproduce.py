@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from chachart.config.load import settings_of
 from chachart.node.commands.benchmarks import machine
@@ -33,6 +32,7 @@ from chachart.node.commands.reproduction.progress import steps
 from chachart.node.commands.reproduction.results import WRITTEN, ChannelResults, Results
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.errors import SetupError
+from chachart.node.data.extras import require
 from chachart.node.data.methods import RhoMethod, ThetaMethod
 from chachart.node.estimation.curves import Ranks, neighbour_ranks
 
@@ -92,6 +92,10 @@ def run(arguments: argparse.Namespace) -> int:
     SetupError
         If an option does not fit or a file cannot be read or written.
     """
+    require("bench", "chachart reproduce:")
+    require("plot", "chachart reproduce:")
+    from threadpoolctl import threadpool_limits
+
     start = time.perf_counter()
     options = _options(arguments.set)
     if not np.isfinite(arguments.snr_db) or abs(arguments.snr_db) > 200:

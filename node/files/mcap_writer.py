@@ -26,8 +26,8 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
-from mcap.writer import LIBRARY_IDENTIFIER
 
+from chachart.node.data.version import build
 from chachart.node.files.mcap_chunks import CHUNK, MAGIC, MESSAGE, RECORD
 
 _CHANNEL = _SCHEMA = 1
@@ -64,7 +64,7 @@ class McapWriter:
         self._chunks: list[ChunkIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._messages = 0
-        self._write([MAGIC, _encoded(Header(profile="chachart", library=LIBRARY_IDENTIFIER))])
+        self._write([MAGIC, _encoded(Header(profile="chachart", library=f"chachart {build()}"))])
 
     @property
     def bytes_written(self) -> int:

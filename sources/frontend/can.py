@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
+from chachart.node.data.extras import missing
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import SourceSettings
 from chachart.sources.frontend.address import FrontEndAddress, distinct
 from chachart.sources.frontend.can_bus import CanBusSettings, open_bus
 from chachart.sources.frontend.device import Link
-from chachart.sources.frontend.drivers import missing
 from chachart.sources.frontend.live import LinkLost, LiveSettings, LiveSource, Packets
 from chachart.sources.frontend.packet import max_packet_bytes
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from pydantic import Field
 
 from chachart.node.data.errors import SetupError
+from chachart.node.data.extras import require
 from chachart.sources.base import SourceSettings
-from chachart.sources.frontend.drivers import require
 
 if TYPE_CHECKING:
     import can
@@ -39,7 +39,7 @@ def open_bus(settings: CanBusSettings, listen_to: list[int]) -> can.BusABC:
     SetupError
         If it cannot be opened.
     """
-    require("can")
+    require("can", "[source]")
     import can
 
     options: dict[str, Any] = {"fd": settings.fd, **settings.options}

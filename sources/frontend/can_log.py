@@ -14,10 +14,10 @@ from pydantic import Field, field_validator
 
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
+from chachart.node.data.extras import missing
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import EndOfSource, Source, SourceSettings
 from chachart.sources.frontend.address import FrontEndAddress, distinct
-from chachart.sources.frontend.drivers import missing
 from chachart.sources.frontend.packet import max_packet_bytes
 from chachart.sources.frontend.session import Intake
 

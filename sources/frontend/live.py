@@ -13,10 +13,10 @@ from pydantic import Field
 
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
+from chachart.node.data.extras import require
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import EndOfSource, Source, SourceSettings
 from chachart.sources.frontend.device import Link
-from chachart.sources.frontend.drivers import require
 from chachart.sources.frontend.loopback import Loopback, LoopbackSettings, loopback_settings
 from chachart.sources.frontend.retry import Backoff
 from chachart.sources.frontend.session import Intake
@@ -71,7 +71,7 @@ class LiveSource(Source):
         SetupError
             If the link cannot be opened, or its libraries are not installed.
         """
-        require(self.extra)
+        require(self.extra, "[source]")
         simulated = loopback_settings(self.settings.loopback)
         try:
             if simulated is not None:

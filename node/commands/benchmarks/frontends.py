@@ -22,12 +22,12 @@ from chachart.node.commands.benchmarks.timing import Timing, time_in_turn
 from chachart.node.commands.shared.cli import progress
 from chachart.node.data.counters import Counters
 from chachart.node.data.errors import SetupError
+from chachart.node.data.extras import require
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import EndOfSource, Source
 from chachart.sources.frontend import packet
 from chachart.sources.frontend.address import FrontEndAddress
 from chachart.sources.frontend.can import MAX_MESSAGES, CanSettings, CanSource
-from chachart.sources.frontend.drivers import require
 from chachart.sources.frontend.packet import CsiPacket, SampleFormat
 from chachart.sources.frontend.serial import SerialSettings, SerialSource
 from chachart.sources.frontend.session import Intake
@@ -67,8 +67,8 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     SetupError
         If a library is missing.
     """
-    require("serial")
-    require("can")
+    require("serial", "chachart bench frontends:")
+    require("can", "chachart bench frontends:")
     large = ArraySettings(antennas=arguments.antennas, subcarriers=arguments.subcarriers).geometry()
     small = ArraySettings(antennas=arguments.can_antennas, subcarriers=arguments.can_subcarriers).geometry()
     with progress("measuring", 7) as done:

@@ -8,12 +8,24 @@ from pathlib import Path
 
 import numpy as np
 import scipy
-from threadpoolctl import threadpool_info
+
+from chachart.node.data.extras import require
+from chachart.node.data.version import build
 
 
 def describe() -> dict[str, str]:
-    """Names and versions that a measured number is worth little without."""
+    """Names and versions that a measured number is worth little without.
+
+    Raises
+    ------
+    SetupError
+        If threadpoolctl, which knows the BLAS, is not installed.
+    """
+    require("bench", "chachart bench:")
+    from threadpoolctl import threadpool_info
+
     return {
+        "chachart": build(),
         "processor": f"{_processor()}, {os.cpu_count()} cores",
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),

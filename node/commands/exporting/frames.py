@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from chachart.node.data.errors import SetupError
+from chachart.node.data.extras import require
 
 Variables = dict[str, Any]
 
@@ -19,10 +20,9 @@ def _npz(path: Path, variables: Variables) -> None:
 
 
 def _hdf5(path: Path, variables: Variables) -> None:
-    try:
-        import h5py
-    except ImportError:
-        raise SetupError("HDF5 needs the h5py package: pip install 'chachart[formats]'") from None
+    require("formats", f"{path}:")
+    import h5py
+
     with h5py.File(path, "w") as file:
         for name, value in variables.items():
             file[name] = value

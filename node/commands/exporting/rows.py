@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from chachart.node.commands.exporting.geodesy import beside
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.errors import SetupError
+from chachart.node.data.extras import require
 from chachart.node.data.geometry import ArrayGeometry
 
 GROUP_ROWS = 65_536
@@ -116,11 +117,10 @@ def _csv(path: Path, charts: Iterator[ChartUpdate], array: ArrayGeometry, place:
 
 
 def _parquet(path: Path, charts: Iterator[ChartUpdate], array: ArrayGeometry, place: Place | None) -> int:
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError:
-        raise SetupError("Parquet needs the pyarrow package: pip install 'chachart[parquet]'") from None
+    require("parquet", f"{path}:")
+    import pyarrow as pa
+    from pyarrow import parquet
+
     rows, waiting, writer = 0, [], None
     try:
         for chart in charts:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,6 +108,28 @@ def estimate(reader: RecordingReader, estimator: ChartEstimator) -> tuple[ChartU
         rejected = ", ".join(f"{n} {reason}" for reason, n in estimator.rejected.as_dict().items())
         raise SetupError(f"{reader.path}: no frame could be used, of {frames} ({rejected or 'it is empty'})")
     return ChartUpdate.concatenate(updates), frames
+
+
+def chart_recording(path: str | Path, **options: Any) -> ChartUpdate:
+    """The chart of a recording: the newest row of every UE, all frames of a UE counting alike.
+
+    Parameters
+    ----------
+    path
+        The recording.
+    options
+        As of `ChartEstimator`, where averaging is "mean" unless said otherwise.
+
+    Raises
+    ------
+    SetupError
+        If the file is no recording, or no frame of it could be used.
+    ValueError
+        If an option does not fit the recording's array.
+    """
+    reader = RecordingReader(Path(path))
+    chart, _ = estimate(reader, ChartEstimator(reader.array, **{"averaging": "mean", **options}))
+    return chart
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Whether the libraries behind a link are there."""
+"""The libraries that chachart can do without: which extra brings each, and what to say where it lacks."""
 
 from __future__ import annotations
 
@@ -6,28 +6,40 @@ from importlib.util import find_spec
 
 from chachart.node.data.errors import SetupError
 
-LIBRARIES = {
+EXTRAS = {
     "serial": {"serial": "pyserial", "cobs": "cobs"},
     "can": {"can": "python-can", "isotp": "can-isotp"},
+    "formats": {"h5py": "h5py"},
+    "parquet": {"pyarrow": "pyarrow"},
+    "plot": {"matplotlib": "matplotlib", "PIL": "pillow"},
+    "bench": {"threadpoolctl": "threadpoolctl"},
+    "pandas": {"pandas": "pandas"},
 }
 """By extra of chachart: module and the package it comes in."""
 
 
 def missing(extra: str) -> list[str]:
     """What to say of the libraries of an extra that are not installed; nothing if all are."""
-    packages = [package for module, package in LIBRARIES[extra].items() if find_spec(module) is None]
+    packages = [package for module, package in EXTRAS[extra].items() if find_spec(module) is None]
     if not packages:
         return []
     return [f'{" and ".join(packages)} not installed: pip install "chachart[{extra}]"']
 
 
-def require(extra: str) -> None:
+def require(extra: str, who: str) -> None:
     """Make sure that the libraries of an extra are there.
+
+    Parameters
+    ----------
+    extra
+        One of `EXTRAS`.
+    who
+        What needs them, as the message begins: `chachart plot:`.
 
     Raises
     ------
     SetupError
-        If not.
+        If they are not.
     """
     for problem in missing(extra):
-        raise SetupError(f"[source] {problem}")
+        raise SetupError(f"{who} {problem}")
