@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.estimation.covariance import Bank, Grouping
-from chachart.node.estimation.slots import Slots
+from chachart.node.estimation.state import Slots, SlotState
 
 Floats = NDArray[np.float64]
 
 
-class AmplitudeSum:
+class AmplitudeSum(SlotState):
     """s (U,) of a block's UEs, running over their frames.
 
     Parameters
@@ -40,14 +40,7 @@ class AmplitudeSum:
             "noisy": ((), np.float32),
         }
         self._bank = Bank(*kept[kind], decay)
-
-    def resize(self, capacity: int) -> None:
-        """Have rows for `capacity` slots."""
-        self._bank.resize(capacity)
-
-    def clear(self, slots: Slots) -> None:
-        """Start `slots` afresh."""
-        self._bank.clear(slots)
+        super().__init__(bank=self._bank)
 
     def of_frames(self, csi: NDArray[np.complex64]) -> NDArray[Any]:
         """What is kept of each frame (K, N_R, N_S): nothing, h of the first subcarrier, or mean |h|."""
@@ -77,14 +70,17 @@ class AmplitudeSum:
         return total / weight
 
 
-class Isq:
+class Isq(SlotState):
     """rho = scale / sqrt(s); scale is 1 until a reference is known.
 
     With a reference (rho_0, s_0), scale = rho_0 sqrt(s_0). Otherwise it is the mean of rho sqrt(s) over all
     estimates of UEs whose position is known.
     """
 
+    SHARED = ("_total", "_count")
+
     def __init__(self, reference: tuple[float, float] | None) -> None:
+        super().__init__()
         self._fixed = None if reference is None else reference[0] * np.sqrt(reference[1])
         self._total, self._count = 0.0, 0
 
@@ -95,12 +91,6 @@ class Isq:
             return float(self._fixed)
         return self._total / self._count if self._count else 1.0
 
-    def resize(self, capacity: int) -> None:
-        """Nothing is kept by slot."""
-
-    def clear(self, slots: Slots) -> None:
-        """Nothing is kept by slot."""
-
     def ranges(self, slots: Slots, s: Floats, known_rho: Floats) -> tuple[Floats, Floats]:
         """rho and its standard deviation: NaN, for what the amplitude owes to the channel is unknown."""
         root = np.sqrt(s)
@@ -110,7 +100,7 @@ class Isq:
         return self.scale / root, np.full(len(s), np.nan)
 
 
-class Lr:
+class Lr(SlotState):
     """rho = a log(s) + b, or log(rho) = a log(s) + b, by recursive least squares in information form.
 
     The first `train_ues` UEs whose position is known train it. Each contributes its latest (log s, rho):
@@ -118,19 +108,14 @@ class Lr:
     the exact least squares fit at any time. A UE that leaves keeps its contribution.
     """
 
+    SHARED = ("_trained", "_sums")
+
     def __init__(self, train_ues: int, log_range: bool) -> None:
         self.train_ues, self.log_range = train_ues, log_range
         self._trained = 0
         self._sums = np.zeros(6)  # of 1, x, y, x x, x y, y y
         self._of_slot = Bank((6,), np.float64, 1.0)
-
-    def resize(self, capacity: int) -> None:
-        """Have rows for `capacity` slots."""
-        self._of_slot.resize(capacity)
-
-    def clear(self, slots: Slots) -> None:
-        """Slots that go to other UEs."""
-        self._of_slot.clear(slots)
+        super().__init__(of_slot=self._of_slot)
 
     def fit(self) -> tuple[float, float, float]:
         """a, b and the standard deviation of what they leave unexplained; NaN while there are too few UEs."""
@@ -156,7 +141,7 @@ class Lr:
         rows = self._of_slot.rows
         usable = np.isfinite(known_rho) & (known_rho > 0)
         trained = usable & (rows[slots, 0] > 0)
-        fresh = np.flatnonzero(usable & ~trained)[: self.train_ues - self._trained]
+        fresh = np.flatnonzero(usable & ~trained)[: max(self.train_ues - self._trained, 0)]
         self._trained += len(fresh)
         use = np.concatenate([np.flatnonzero(trained), fresh])
         if not len(use):

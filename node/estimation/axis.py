@@ -13,7 +13,7 @@ from chachart.node.estimation.bounds import mvdr_excess, stochastic_std
 from chachart.node.estimation.covariance import Bank, Grouping, LagSums, forward_backward
 from chachart.node.estimation.manifold import Search, UniformManifold, derivatives
 from chachart.node.estimation.options import Options
-from chachart.node.estimation.slots import Slots
+from chachart.node.estimation.state import Slots, SlotState
 from chachart.node.estimation.subspace import SubspaceTracker, dominant
 
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -41,7 +41,7 @@ class AxisEstimate:
     noise: Floats
 
 
-class SpectralAxis:
+class SpectralAxis(SlotState):
     """A spectral method on a manifold. Bartlett keeps 2 N real numbers a UE, the others N x N complex ones.
 
     Parameters
@@ -88,20 +88,10 @@ class SpectralAxis:
         shape = (n,) if method == "bartlett" else (n, n)
         self._bank = Bank(shape, np.complex64, options.decay)
         self._lags = LagSums(n)
-        self._parts: list[Bank | SubspaceTracker] = [self._bank]
+        super().__init__(bank=self._bank)
         if method in ("music", "minnorm") and isinstance(options.signal_order, int):
             self._tracker = SubspaceTracker(n, options.signal_order)
-            self._parts.append(self._tracker)
-
-    def resize(self, capacity: int) -> None:
-        """Have state for `capacity` slots."""
-        for part in self._parts:
-            part.resize(capacity)
-
-    def clear(self, slots: Slots) -> None:
-        """Start `slots` afresh."""
-        for part in self._parts:
-            part.clear(slots)
+            self.children["tracker"] = self._tracker
 
     def of_frames(self, x: Complex, conjugate: Complex) -> Complex:
         """What is kept of each frame, from snapshot matrices x (K, N, M) and their conjugates.

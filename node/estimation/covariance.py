@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from chachart.node.estimation.slots import Slots, grown
+from chachart.node.estimation.state import Slots, SlotState
 
 Complex = NDArray[np.complexfloating[Any, Any]]
 Floats = NDArray[np.float64]
@@ -85,7 +85,7 @@ class Grouping:
         return np.power(decay, self.counts)
 
 
-class Bank:
+class Bank(SlotState):
     """Weighted sums by slot.
 
     Parameters
@@ -96,18 +96,12 @@ class Bank:
         Weight of a frame relative to the next.
     """
 
+    BY_SLOT = ("rows",)
+
     def __init__(self, shape: tuple[int, ...], dtype: type[np.generic], decay: float) -> None:
+        super().__init__()
         self.rows = np.zeros((0, *shape), dtype)
         self.decay = decay
-
-    def resize(self, capacity: int) -> None:
-        """Have rows for `capacity` slots."""
-        if capacity > len(self.rows):
-            self.rows = grown(self.rows, capacity)
-
-    def clear(self, slots: Slots) -> None:
-        """Start `slots` afresh."""
-        self.rows[slots] = 0
 
     def add(self, group: Grouping, x: NDArray[Any]) -> NDArray[Any]:
         """Add a block's frames `x` (K, ...); returns the new sums of the block's UEs, (U, ...)."""
@@ -123,22 +117,13 @@ class Bank:
         return new
 
 
-class Weights:
+class Weights(SlotState):
     """Sum of weights W and of squared weights by slot: how many frames stand behind an average."""
 
     def __init__(self, decay: float) -> None:
         self._sum = Bank((), np.float64, decay)
         self._squares = Bank((), np.float64, decay * decay)
-
-    def resize(self, capacity: int) -> None:
-        """Have rows for `capacity` slots."""
-        self._sum.resize(capacity)
-        self._squares.resize(capacity)
-
-    def clear(self, slots: Slots) -> None:
-        """Start `slots` afresh."""
-        self._sum.clear(slots)
-        self._squares.clear(slots)
+        super().__init__(sum=self._sum, squares=self._squares)
 
     def add(self, group: Grouping) -> tuple[Floats, Floats]:
         """Count a block's frames; returns W and the effective number of frames W^2 / sum w^2, each (U,)."""

@@ -14,8 +14,9 @@ from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.covariance import Bank, Grouping
 from chachart.node.estimation.joint import JointLocator
+from chachart.node.estimation.locator import Located, Locator
 from chachart.node.estimation.options import JOINT, Options
-from chachart.node.estimation.separate import Located, Locator, SeparateLocator
+from chachart.node.estimation.separate import SeparateLocator
 from chachart.node.estimation.slots import SlotTable
 
 SPECTRUM_POINTS = 512
@@ -152,8 +153,8 @@ class ChartEstimator:
         return found | dict(zip(names, self._latest.rows[slot].tolist(), strict=True))
 
     def _make_locator(self) -> Locator:
-        make: type[Locator] = JointLocator if self.options.theta == JOINT else SeparateLocator
-        locator = make(self.array, self.options)
+        make = JointLocator if self.options.theta == JOINT else SeparateLocator
+        locator: Locator = make(self.array, self.options)
         locator.resize(self._table.capacity)
         return locator
 

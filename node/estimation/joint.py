@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.covariance import Grouping, Weights
 from chachart.node.estimation.direct_path import DirectPath
+from chachart.node.estimation.locator import Located, Locator
 from chachart.node.estimation.options import Options
 from chachart.node.estimation.periodogram import CoherentSums, Csi, PowerSums, SpectrumState, energy
-from chachart.node.estimation.separate import Located
-from chachart.node.estimation.slots import Slots
+from chachart.node.estimation.state import Slots, SlotState
 
 Floats = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ LEAST_SIZE = 4
 """Antennas, and subcarriers, below which paths cannot be told apart on their axis."""
 
 
-class JointLocator:
+class JointLocator(Locator):
     """The joint angle-delay method: `DirectPath` on averaged spectra.
 
     Averages the frames themselves while they keep their phase, which finds weak paths best, and their power
@@ -41,6 +41,8 @@ class JointLocator:
         If the array is too small or too large; the message begins with the argument's name.
     """
 
+    SHARED = ("_random",)
+
     def __init__(self, array: ArrayGeometry, options: Options) -> None:
         for name, size in (("theta", array.antennas), ("rho", array.subcarriers)):
             if size < LEAST_SIZE:
@@ -57,29 +59,21 @@ class JointLocator:
         self._decay = options.decay
         self._weights = Weights(options.decay)
         periodogram = self._direct_path.periodogram
-        self._state: SpectrumState
-        if options.phase == "random":
-            self._state = PowerSums(periodogram, options.decay)
-        else:
-            self._state = CoherentSums(periodogram, self._weights, options.decay)
-        self._watch = PhaseWatch() if options.phase == "auto" else None
-        self._capacity = 0
+        self._sums = CoherentSums(periodogram, self._weights, options.decay)
+        self._powers = PowerSums(periodogram, options.decay)
+        self._random = int(options.phase == "random")
+        self._watch = PhaseWatch()
+        self._watched = options.phase == "auto"
+        super().__init__(weights=self._weights, sums=self._sums, powers=self._powers, watch=self._watch)
 
     @property
     def coherent(self) -> bool:
         """Whether frames are averaged rather than their power spectra."""
-        return isinstance(self._state, CoherentSums)
+        return not self._random
 
-    def resize(self, capacity: int) -> None:
-        """Have state for `capacity` slots."""
-        self._capacity = capacity
-        self._weights.resize(capacity)
-        self._state.resize(capacity)
-
-    def clear(self, slots: Slots) -> None:
-        """Start `slots` afresh."""
-        self._weights.clear(slots)
-        self._state.clear(slots)
+    @property
+    def _state(self) -> SpectrumState:
+        return self._powers if self._random else self._sums
 
     def features(self, csi: Csi) -> list[NDArray[Any]]:
         """The frames (K, N_R, N_S), or their power spectra."""
@@ -95,10 +89,12 @@ class JointLocator:
         """Take a block's frames and locate its UEs; `position` is of no use here."""
         _, frames = self._weights.add(group)
         self._state.take(group, features[0])
-        if self._watch is not None and isinstance(self._state, CoherentSums):
-            self._watch.look(group, features[0], self._state.bank.rows[group.slots], self._decay)
+        if self._watched and self.coherent:
+            self._watch.look(group, features[0], self._sums.bank.rows[group.slots], self._decay)
             if not self._watch.steady:
-                self._average_power(self._state)
+                known = self._weights.of(np.arange(len(self._sums.bank.rows)))[0] > 0
+                self._powers.take_over(np.flatnonzero(known), self._sums)
+                self._random = 1
         chunk = self._direct_path.periodogram.chunk
         columns = [self._locate(group.slots[i : i + chunk]) for i in range(0, len(group), chunk)]
         theta, rho, theta_std, rho_std, snr = np.concatenate(columns, axis=1)
@@ -129,15 +125,8 @@ class JointLocator:
         snr = 10 * np.log10(at.power / (at.rest + (gain - 1) * at.noise))
         return np.stack([at.theta, at.rho, at.theta_std, at.rho_std, snr])
 
-    def _average_power(self, coherent: CoherentSums) -> None:
-        state = PowerSums(self._direct_path.periodogram, self._decay)
-        state.resize(self._capacity)
-        known = self._weights.of(np.arange(self._capacity))[0] > 0
-        state.take_over(np.flatnonzero(known), coherent)
-        self._state = state
 
-
-class PhaseWatch:
+class PhaseWatch(SlotState):
     """Do frames keep the phase of those that they are averaged with?
 
     Oscillators that start anew with every frame turn its phase at random, and so does a UE that moves by a
@@ -155,7 +144,10 @@ class PhaseWatch:
     STEADY = 0.9
     """Least mean cosine: the loss of signal is then below 1 dB."""
 
+    SHARED = ("_cosines", "_count", "_blocks")
+
     def __init__(self) -> None:
+        super().__init__()
         self._cosines = self._count = self.MEMORY / 4
         self._blocks = 0
 

@@ -10,14 +10,15 @@ and N_S, it is thereby known exactly between the grid's points too (`Periodogram
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from abc import abstractmethod
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
 from chachart.node.estimation.covariance import Bank, Grouping, Weights
-from chachart.node.estimation.slots import Slots
+from chachart.node.estimation.state import Slots, SlotState
 
 Csi = NDArray[np.complex64]
 Power = NDArray[np.float32]
@@ -93,24 +94,22 @@ class Interpolator:
         return weights
 
 
-class SpectrumState(Protocol):
+class SpectrumState(SlotState):
     """Frames in, averaged spectra out, by slot."""
 
-    def resize(self, capacity: int) -> None:
-        """Have state for `capacity` slots."""
-
-    def clear(self, slots: Slots) -> None:
-        """Start `slots` afresh."""
-
+    @abstractmethod
     def features(self, csi: Csi) -> NDArray[Any]:
         """What is summed up of each frame (K, N_R, N_S)."""
 
+    @abstractmethod
     def energy(self, features: NDArray[Any]) -> NDArray[Any]:
         """Sum of |h|^2 of each frame (K,)."""
 
+    @abstractmethod
     def take(self, group: Grouping, features: NDArray[Any]) -> None:
         """Take a block's frames."""
 
+    @abstractmethod
     def spectra(self, slots: Slots) -> tuple[Power, Floats, Floats]:
         """P (U, A, D), and (U,) how many looks it averages and how many frames each look adds up in phase.
 
@@ -118,7 +117,7 @@ class SpectrumState(Protocol):
         """
 
 
-class CoherentSums:
+class CoherentSums(SpectrumState):
     """Sum of each UE's frames themselves, 8 bytes an element: for UEs and oscillators that keep their phase.
 
     The spectrum is that of the sum, P(sum_i w_i H_i) / sum_i w_i^2: one look, in which the signal is
@@ -137,14 +136,7 @@ class CoherentSums:
     def __init__(self, periodogram: Periodogram, weights: Weights, decay: float) -> None:
         self._periodogram, self._weights = periodogram, weights
         self.bank = Bank(periodogram.shape, np.complex64, decay)
-
-    def resize(self, capacity: int) -> None:
-        """Have state for `capacity` slots."""
-        self.bank.resize(capacity)
-
-    def clear(self, slots: Slots) -> None:
-        """Start `slots` afresh."""
-        self.bank.clear(slots)
+        super().__init__(bank=self.bank)
 
     def features(self, csi: Csi) -> Csi:
         """The frames."""
@@ -166,7 +158,7 @@ class CoherentSums:
         return self._periodogram.of(sums), np.ones(len(slots)), frames
 
 
-class PowerSums:
+class PowerSums(SpectrumState):
     """Sum of each UE's spectra, 16 bytes an element: whatever the phase of its frames, or its echoes', does.
 
     Parameters
@@ -181,16 +173,7 @@ class PowerSums:
         self._periodogram = periodogram
         self._bank = Bank(periodogram.grid, np.float32, decay)
         self._weights = Weights(decay)
-
-    def resize(self, capacity: int) -> None:
-        """Have state for `capacity` slots."""
-        self._bank.resize(capacity)
-        self._weights.resize(capacity)
-
-    def clear(self, slots: Slots) -> None:
-        """Start `slots` afresh."""
-        self._bank.clear(slots)
-        self._weights.clear(slots)
+        super().__init__(bank=self._bank, weights=self._weights)
 
     def features(self, csi: Csi) -> Power:
         """The frames' spectra."""

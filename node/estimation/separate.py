@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,54 +11,15 @@ from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.amplitude import AmplitudeSum, ranging
 from chachart.node.estimation.axis import SpectralAxis
 from chachart.node.estimation.covariance import Grouping, Weights
+from chachart.node.estimation.locator import Located, Locator
 from chachart.node.estimation.manifold import AngleManifold, DelayManifold
 from chachart.node.estimation.noise import NoiseFloor
 from chachart.node.estimation.options import AMPLITUDE, Options
-from chachart.node.estimation.slots import Slots
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Located:
-    """theta (rad) and rho (m) of U UEs with standard deviations, SNR (dB) and effective frames, each (U,)."""
-
-    theta: Floats
-    rho: Floats
-    theta_std: Floats
-    rho_std: Floats
-    snr: Floats
-    snapshots: Floats
-
-
-class Locator(Protocol):
-    """What `ChartEstimator` asks of an estimator of both coordinates: state by slot, estimates by block."""
-
-    def __init__(self, array: ArrayGeometry, options: Options) -> None:
-        """An estimator for an array; ValueError if a method does not fit it."""
-
-    def resize(self, capacity: int) -> None:
-        """Have state for `capacity` slots."""
-
-    def clear(self, slots: Slots) -> None:
-        """Start `slots` afresh."""
-
-    def features(self, csi: NDArray[np.complex64]) -> list[NDArray[Any]]:
-        """What is kept of each frame (K, N_R, N_S), as arrays (K, ...); nothing is remembered yet."""
-
-    def energy(self, features: list[NDArray[Any]]) -> NDArray[Any]:
-        """Sum of |h|^2 of each frame (K,)."""
-
-    def estimate(
-        self, group: Grouping, features: list[NDArray[Any]], position: NDArray[np.float32]
-    ) -> Located:
-        """Take a block's frames and locate its UEs; `position` (U, 3) is NaN where unknown."""
-
-    def spectrum(self, slot: int, points: int) -> dict[str, Any] | None:
-        """What the estimate of `slot` was read from, on grids of `points`; None without a frame."""
-
-
-class SeparateLocator:
+class SeparateLocator(Locator):
     """Angle from the covariance over antennas, range from that over subcarriers or from the amplitude.
 
     Raises
@@ -75,7 +35,7 @@ class SeparateLocator:
         )
         self._array, self._weights = array, Weights(options.decay)
         self._rho: SpectralAxis | None = None
-        self._parts: list[Any] = [self._weights, self._theta]
+        super().__init__(weights=self._weights, theta=self._theta)
         if options.rho in AMPLITUDE:
             self._floor = NoiseFloor(array.antennas)
             self._amplitude = AmplitudeSum(options.amplitude, array.antennas, options.decay)
@@ -85,23 +45,13 @@ class SeparateLocator:
                 train_ues=options.lr_train_ues,
                 log_range=options.lr_log_range,
             )
-            self._parts += [self._amplitude, self._ranging]
+            self.children |= {"amplitude": self._amplitude, "ranging": self._ranging}
         else:
             manifold = DelayManifold.of(array, options.rho_max_m)
             self._rho = SpectralAxis(
                 "rho", options.rho, manifold, options.rho_step_m, array.antennas, options
             )
-            self._parts.append(self._rho)
-
-    def resize(self, capacity: int) -> None:
-        """Have state for `capacity` slots."""
-        for part in self._parts:
-            part.resize(capacity)
-
-    def clear(self, slots: Slots) -> None:
-        """Start `slots` afresh."""
-        for part in self._parts:
-            part.clear(slots)
+            self.children["rho"] = self._rho
 
     def features(self, csi: NDArray[np.complex64]) -> list[NDArray[Any]]:
         """Of both axes, or of the angle axis and the amplitude."""

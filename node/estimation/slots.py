@@ -7,12 +7,13 @@ holds a slot number, the slot's own row the UE's id. All operations are vectoris
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-Slots = NDArray[np.intp]
+from chachart.node.estimation.state import ROWS, Slots, SlotState, Snapshot, grown
+
 Ids = NDArray[np.uint64]
 
 _FREE: Final = -1
@@ -40,7 +41,7 @@ class Assignment:
     evicted: Ids
 
 
-class SlotTable:
+class SlotTable(SlotState):
     """Gives each UE a slot below `capacity`, keeps at most `max_ues`, knows when each was last seen.
 
     `capacity` grows geometrically up to `max_ues`; whoever keeps arrays by slot grows them along with it.
@@ -60,6 +61,7 @@ class SlotTable:
     def __init__(self, max_ues: int = 100_000) -> None:
         if max_ues < 1:
             raise ValueError(f"max_ues must be at least 1, not {max_ues}")
+        super().__init__()
         self.max_ues = max_ues
         self.capacity = 0
         self._ue = np.zeros(0, np.uint64)  # two spare rows at the end, for _FREE and _REMOVED to index
@@ -125,6 +127,20 @@ class SlotTable:
         np.maximum.at(self._last_seen, slots, time_ns)
         return Assignment(slots, new, evicted)
 
+    def resize(self, capacity: int) -> None:
+        """Have at least `capacity` slots."""
+        if capacity > self.capacity:
+            self._grow(capacity)
+
+    def clear(self, slots: Slots) -> None:
+        """Free those of `slots` that are in use."""
+        self.remove(slots[self._live[slots]])
+
+    def snapshot(self, slots: Slots | None = None) -> Snapshot:
+        """`ue[]` and `last_seen[]` of `slots`, of all in use if None."""
+        slots = self.slots if slots is None else slots
+        return {"ue" + ROWS: self._ue[slots], "last_seen" + ROWS: self._last_seen[slots]}
+
     def remove(self, slots: Slots) -> None:
         """Free `slots` (each in use, none twice)."""
         if not len(slots):
@@ -138,6 +154,29 @@ class SlotTable:
     def unseen_since(self, time_ns: int) -> Slots:
         """Slots of the UEs last seen before `time_ns`."""
         return np.flatnonzero(self._live & (self._last_seen < time_ns))
+
+    def _check(self, snapshot: Snapshot, prefix: str = "") -> None:
+        for name, dtype in (("ue", np.uint64), ("last_seen", np.int64)):
+            key = prefix + name + ROWS
+            found = snapshot.get(key)
+            if found is None or found.dtype != dtype or found.ndim != 1:
+                raise ValueError(f"{key} must be in the snapshot, as {np.dtype(dtype).name} (UEs,)")
+        ue = snapshot[prefix + "ue" + ROWS]
+        if len(ue) > self.max_ues or len(np.unique(ue)) < len(ue):
+            raise ValueError(f"{prefix}ue{ROWS} must be at most {self.max_ues} UEs, each once")
+
+    def _take(self, snapshot: Snapshot, slots: Slots | None, prefix: str = "") -> None:
+        ue, last_seen = (snapshot[prefix + name + ROWS] for name in ("ue", "last_seen"))
+        slots = np.arange(len(ue)) if slots is None else slots
+        self.resize(int(slots.max(initial=-1)) + 1)
+        elsewhere = self.lookup(ue)
+        self.clear(np.union1d(slots, elsewhere[elsewhere >= 0]))
+        self._ue[slots], self._last_seen[slots], self._live[slots] = ue, last_seen, True
+        self._oldest, self._oldest_seen = slots[:0], last_seen[:0]
+        free = np.flatnonzero(~self._live)[::-1]
+        self._free_count = len(free)
+        self._free[: len(free)] = free
+        self._rehash()
 
     def _hash(self, ue: Ids) -> NDArray[np.intp]:
         return ((ue * _GOLDEN) >> self._shift).astype(np.intp)
@@ -228,10 +267,3 @@ class SlotTable:
                 break
         self._oldest, self._oldest_seen = self._oldest[valid[count:]], self._oldest_seen[valid[count:]]
         return chosen
-
-
-def grown(array: NDArray[Any], rows: int) -> NDArray[Any]:
-    """`array` with zero rows appended up to `rows`; untouched new memory costs nothing yet."""
-    larger = np.zeros((rows, *array.shape[1:]), array.dtype)
-    larger[: len(array)] = array
-    return larger

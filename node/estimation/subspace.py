@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.estimation.covariance import Bank
-from chachart.node.estimation.slots import Slots
+from chachart.node.estimation.state import Slots, SlotState
 
 Complex = NDArray[np.complexfloating[Any, Any]]
 Real = NDArray[np.floating[Any]]
@@ -36,7 +36,7 @@ _ROUNDING: Final = 8 * float(np.finfo(np.float32).eps)
 _TINY: Final = np.float32(1e-30)
 
 
-class SubspaceTracker:
+class SubspaceTracker(SlotState):
     """Bases (order, N) by slot whose rows are the conjugates of orthonormal signal vectors: B = Sᴴ.
 
     Parameters
@@ -48,14 +48,7 @@ class SubspaceTracker:
     def __init__(self, size: int, order: int) -> None:
         self.size, self.order = size, order
         self._bank = Bank((order, size), np.complex64, 1.0)
-
-    def resize(self, capacity: int) -> None:
-        """Have rows for `capacity` slots."""
-        self._bank.resize(capacity)
-
-    def clear(self, slots: Slots) -> None:
-        """Start `slots` afresh."""
-        self._bank.clear(slots)
+        super().__init__(bank=self._bank)
 
     def update(self, slots: Slots, r: Complex, snapshots: Real) -> Complex:
         """Bases (U, order, N) for the covariances r (U, N, N) of `slots`, each from `snapshots` (U,)."""

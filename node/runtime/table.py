@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.data.chart import ChartUpdate, Method
-from chachart.node.estimation.slots import SlotTable, grown
+from chachart.node.estimation.slots import SlotTable
+from chachart.node.estimation.state import grown
 
 _COLUMNS = [f.name for f in fields(ChartUpdate)[3:-1]]
 

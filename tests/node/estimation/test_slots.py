@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chachart.node.estimation.slots import SlotTable, grown
+from chachart.node.estimation.slots import SlotTable
+from chachart.node.estimation.state import grown
 
 
 def ids(*values: int) -> np.ndarray:
