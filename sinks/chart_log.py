@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar, Literal
 
@@ -13,13 +12,14 @@ from mcap.writer import CompressionType, Writer
 from pydantic import Field
 
 from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.columns import COLUMNS, Column
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.files.chart_log import HEAD
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
 from chachart.sinks.files import free_name, write_problems
 from chachart.sinks.foxglove import SCHEMA, point_cloud
-from chachart.sinks.plain import plain, rounded
+from chachart.sinks.plain import plain
 
 CHUNK_BYTES = 256 * 1024
 FLUSH_S = 5.0
@@ -28,31 +28,8 @@ ROWS_PER_MESSAGE = 256
 MOST_WAITING = 64
 LARGEST_SHARE = 0.1
 """Writing charts may take such a share of the time; with very many UEs they are written less often."""
-DECIMALS = {"theta": 6, "theta_std": 6, "snr": 2, "snapshots": 1}
-"""Digits worth keeping; ranges and coordinates are kept to the millimetre."""
 
-_NUMBERS = {"type": "array", "items": {"type": ["number", "null"]}}
-_COLUMNS = {f.name: _NUMBERS for f in fields(ChartUpdate)[2:-1]}
-_SCHEMAS: dict[str, dict[str, Any]] = {
-    "chart": {
-        "title": "chachart.chart",
-        "description": "One row a UE: theta and theta_std in rad, rho, rho_std, x, y in m, snr in dB, "
-        "snapshots in frames; position is the known reference position in m, null where unknown.",
-        "type": "object",
-        "properties": {
-            "array": {"type": "string"},
-            "method": {
-                "type": "object",
-                "properties": {"theta": {"type": "string"}, "rho": {"type": "string"}},
-            },
-            **_COLUMNS,
-            "position": {"type": "array", "items": _NUMBERS},
-        },
-        "required": ["array", "method", *_COLUMNS],
-    },
-    "quality": {"title": "chachart.quality", "type": "object"},
-    "status": {"title": "chachart.status", "type": "object"},
-}
+_NUMBER = {"type": ["number", "null"]}
 
 
 class ChartLogSettings(SinkSettings):
@@ -144,7 +121,7 @@ class ChartLog(Sink):
         update, self._waiting = ChartUpdate.concatenate(self._waiting), []
         begin = time.monotonic()
         for part in update.parts(ROWS_PER_MESSAGE):
-            self._write("chart", _chart(part))
+            self._write("chart", part.plain())
         if self.settings.foxglove:
             self._write("points", point_cloud(update))
         if self.settings.every_s:
@@ -175,7 +152,7 @@ class ChartLog(Sink):
         self._writer.start(profile="chachart")
         self._writer.add_metadata(HEAD, {"array": json.dumps(self.array.as_dict())})
         self._channels = {}
-        kinds = {kind: (f"{kind}.{self.array.name}", schema) for kind, schema in _SCHEMAS.items()}
+        kinds = {kind: (f"{kind}.{self.array.name}", schema) for kind, schema in _schemas().items()}
         if self.settings.foxglove:
             kinds["points"] = f"/chart/{self.array.name}/points", SCHEMA
         for kind, (topic, schema) in kinds.items():
@@ -193,17 +170,25 @@ class ChartLog(Sink):
                 self._writer.finish()
 
 
-def _chart(update: ChartUpdate) -> dict[str, Any]:
-    """An update as plain values."""
-    values: dict[str, Any] = {
-        "array": update.array,
-        "method": {"theta": update.method.theta, "rho": update.method.rho},
-        "ue": update.ue.tolist(),
-        "time_ns": update.time_ns.tolist(),
+def _schemas() -> dict[str, dict[str, Any]]:
+    """The JSON schema of each kind of message."""
+    method = {"type": "object", "properties": {"theta": {"type": "string"}, "rho": {"type": "string"}}}
+    chart = {
+        "title": "chachart.chart",
+        "description": "One row a UE; null where a value is unknown.",
+        "type": "object",
+        "properties": {
+            "array": {"type": "string"},
+            "method": method,
+            **{column.name: _schema(column) for column in COLUMNS.values()},
+        },
+        "required": ["array", "method", *(c.name for c in COLUMNS.values() if not c.optional)],
     }
-    for f in fields(update)[4:-1]:
-        values[f.name] = rounded(getattr(update, f.name), DECIMALS.get(f.name, 3))
-    if update.position is not None:
-        flat = rounded(update.position.ravel(), 3)
-        values["position"] = [flat[i : i + 3] for i in range(0, len(flat), 3)]
-    return values
+    quality, status = ({"title": f"chachart.{kind}", "type": "object"} for kind in ("quality", "status"))
+    return {"chart": chart, "quality": quality, "status": status}
+
+
+def _schema(column: Column) -> dict[str, Any]:
+    row = {"type": "array", "items": _NUMBER} if column.parts else _NUMBER
+    unit = f" In {column.unit}." if column.unit else ""
+    return {"type": "array", "items": row, "description": f"{column.about}{unit}"}

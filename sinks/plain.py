@@ -1,4 +1,4 @@
-"""Reports and charts as the plain values that JSON can hold."""
+"""Reports as the plain values that JSON can hold."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 
 def plain(value: Any) -> Any:
@@ -21,13 +20,3 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(v) for v in value]
     return value
-
-
-def rounded(column: NDArray[Any], decimals: int) -> list[Any]:
-    """A column of numbers to so many decimals, None where not finite; much quicker than `plain`."""
-    with np.errstate(over="ignore"):
-        numbers = np.round(column.astype(np.float64), decimals)
-    values: list[Any] = numbers.tolist()
-    for row in np.flatnonzero(~np.isfinite(numbers)).tolist():
-        values[row] = None
-    return values

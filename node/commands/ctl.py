@@ -12,7 +12,6 @@ chachart ctl snapshot chart.csv             the whole chart as .csv or .json
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import math
 import sys
@@ -23,10 +22,13 @@ from typing import Any
 import msgpack
 import zmq
 
+from chachart.node.commands.exporting.rows import Table, write_csv
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.columns import COLUMNS
 from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
 
 ENDPOINT = "tcp://127.0.0.1:5557"
-_COLUMNS = ("ue", "time_ns", "x", "y", "theta", "rho", "theta_std", "rho_std", "snr", "snapshots")
 
 Reply = dict[str, Any]
 
@@ -44,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         return added
 
     operation("status", "how the node is", _show_status)
-    operation("ues", "who is in the chart", _show_ues)
+    operation("ues", "who is in the chart", show_ues)
     operation("spectrum", "one UE's spectra", _show_spectrum).add_argument("ue", type=int, metavar="UE")
     method = operation("method", "choose how theta and rho are estimated", _show_method)
     method.add_argument("theta", metavar="THETA")
@@ -133,13 +135,15 @@ def _show_status(status: Reply, _: argparse.Namespace) -> None:
         print(f"{name:<10} {text}")
 
 
-def _show_ues(reply: Reply, _: argparse.Namespace) -> None:
-    print(f"{'UE':>20} {'x m':>10} {'y m':>10} {'theta deg':>10} {'rho m':>10} {'SNR dB':>8} {'frames':>8}")
-    for ue in reply["ues"]:
-        degrees = None if ue["theta"] is None else math.degrees(ue["theta"])
-        figures = [_number(v) for v in (ue["x"], ue["y"], degrees, ue["rho"])]
-        rest = [_number(ue[key]) for key in ("snr", "snapshots")]
-        print(f"{ue['ue']:>20}", *(f"{f:>10}" for f in figures), *(f"{f:>8}" for f in rest))
+def show_ues(reply: Reply, _: object = None) -> None:
+    """Print the answer to `ues` as a table of all columns that there are."""
+    first = reply["ues"][0] if reply["ues"] else {}
+    shown = [column for column in COLUMNS.values() if column.name in first and column.unit != "ns"]
+    table = [[f"{column.label} {column.for_people()[0]}".strip() for column in shown]]
+    table += [[column.text(ue[column.name]) for column in shown] for ue in reply["ues"]]
+    widths = [max(map(len, cells)) for cells in zip(*table, strict=True)]
+    for row in table:
+        print("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)))
 
 
 def _show_spectrum(reply: Reply, _: argparse.Namespace) -> None:
@@ -160,17 +164,27 @@ def _show_record(reply: Reply, arguments: argparse.Namespace) -> None:
 def _save(chart: Reply, arguments: argparse.Namespace) -> None:
     if not chart:
         raise SetupError("the chart is empty yet")
-    try:
-        with arguments.file.open("w", newline="") as file:
-            if arguments.file.suffix == ".json":
-                json.dump(chart, file)
-            else:
-                writer = csv.writer(file)
-                writer.writerow(_COLUMNS)
-                writer.writerows(zip(*(chart[name] for name in _COLUMNS), strict=True))
-    except OSError as error:
-        raise SetupError(f"{arguments.file} cannot be written: {error.strerror}") from None
+    save_chart(chart, arguments.file)
     print(f"{len(chart['ue'])} UEs to {arguments.file}", file=sys.stderr)
+
+
+def save_chart(chart: Reply, path: Path) -> None:
+    """Write the answer to `chart` as CSV, as `chachart export` does, or as it is.
+
+    Raises
+    ------
+    SetupError
+        If the file cannot be written.
+    """
+    try:
+        if path.suffix == ".json":
+            path.write_text(json.dumps(chart))
+        else:
+            update = ChartUpdate.from_plain(chart)
+            table = Table(update.columns, ArrayGeometry.from_dict(chart["geometry"]))
+            write_csv(path, [update], table)
+    except OSError as error:
+        raise SetupError(f"{path} cannot be written: {error.strerror}") from None
 
 
 def _number(value: float | None, digits: int = 1) -> str:

@@ -92,8 +92,9 @@ def _export_rows(arguments: argparse.Namespace, write: rows.Writer) -> None:
     if all(value is not None for value in given):
         place = rows.Place(*given)
     reader = ChartLogReader(arguments.file)
+    names = {name for chart in _charts(ChartLogReader(arguments.file), arguments) for name in chart.columns}
     with written_whole(arguments.out) as part:
-        count = write(part, _charts(reader, arguments), reader.array, place)
+        count = write(part, _charts(reader, arguments), rows.Table(names, reader.array), place)
         if not count:
             raise SetupError(f"{arguments.file} has no rows in that time")
     for reason, damaged in reader.damaged.as_dict().items():

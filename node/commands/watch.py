@@ -15,8 +15,6 @@ import json
 import sys
 import time
 from collections import deque
-from dataclasses import fields
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +25,7 @@ from rich.text import Text
 
 from chachart.node.commands.shared.canvas import characters, fit, scatter
 from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.columns import COLUMNS
 from chachart.node.net.client import ENDPOINT, Subscription, subscribe
 
 KEEP_S = 60.0
@@ -134,9 +133,7 @@ class Watch:
         words += [f"{self.charts.lost} messages lost here"] * bool(self.charts.lost)
         words += [f"--array shows {name}" for name in sorted(self.others)]
         if (row := self._followed_row()) is not None:
-            words.append(f"UE {self.followed}: theta {np.degrees(chart.theta[row]):.2f} deg")
-            words.append(f"rho {chart.rho[row]:.1f} m, x {chart.x[row]:.1f} m, y {chart.y[row]:.1f} m")
-            words.append(f"SNR {chart.snr[row]:.1f} dB")
+            words.append(f"UE {self.followed}: {_row(chart, row)}")
         return ", ".join(words)
 
     def node(self) -> str:
@@ -218,17 +215,18 @@ def _print_json(charts: Subscription, end: float | None) -> None:
         update = charts.recv(LINE_S if end is None else max(0.0, min(LINE_S, end - time.monotonic())))
         if update is None:
             continue
-        columns = {f.name: getattr(update, f.name) for f in fields(update)[2:]}
-        values = {name: _plain(value) for name, value in columns.items() if value is not None}
-        message = {"array": update.array, "gap": charts.gap, **values}
-        print(json.dumps(message), flush=True)
+        print(json_line(update, charts.gap), flush=True)
 
 
-def _plain(values: NDArray[Any]) -> list[Any]:
-    """Numbers for JSON, which has no NaN."""
-    plain = values.astype(object)
-    plain[values != values] = None
-    return list(plain.tolist())
+def _row(chart: ChartUpdate, row: int) -> str:
+    """What there is about a UE, for people."""
+    shown = (c for c in COLUMNS.values() if c.name in chart.columns and c.unit != "ns" and c.name != "ue")
+    return ", ".join(f"{c.label} {c.text(chart[c.name][row])} {c.for_people()[0]}".rstrip() for c in shown)
+
+
+def json_line(update: ChartUpdate, gap: int) -> str:
+    """An update as `--json` prints it; `gap` messages were lost before it."""
+    return json.dumps({"gap": gap, **update.plain()})
 
 
 def _over(end: float | None) -> bool:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
-from typing import Any
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from chachart.node.data.columns import COLUMNS
+from chachart.node.data.extras import require
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Floats = NDArray[np.float64]
 
@@ -20,14 +26,18 @@ class Method:
     rho: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class ChartUpdate:
-    """Estimates for K UEs of one array, one row a UE.
+    """Estimates for K UEs of one array, one row a UE, in the columns of `chachart.node.data.columns`.
+
+    `update["rho"]` is a column by its name; an optional one that the update lacks is filled in. What nearly
+    every chart has is also an attribute.
 
     Attributes
     ----------
     array, method
         Which array, and which estimators.
+    columns
+        What there is, by name: arrays (K,), or (K, parts). Not to be changed.
     ue, time_ns
         uint64 (K,) and int64 (K,): who, and the time of the last frame behind the estimate.
     theta, rho
@@ -42,10 +52,18 @@ class ChartUpdate:
         float64 (K,): effective number of frames behind the estimate.
     position
         float32 (K, 3): known reference positions, world metres, NaN where unknown; None if none is known.
+
+    Raises
+    ------
+    ValueError
+        If a column is unknown or missing, or has another shape than it should.
     """
+
+    __slots__ = ("array", "columns", "method")
 
     array: str
     method: Method
+    columns: Mapping[str, NDArray[Any]]
     ue: NDArray[np.uint64]
     time_ns: NDArray[np.int64]
     theta: Floats
@@ -56,25 +74,61 @@ class ChartUpdate:
     y: Floats
     snr: Floats
     snapshots: Floats
-    position: NDArray[np.float32] | None = None
 
-    def __post_init__(self) -> None:
-        for f in fields(self)[2:-1]:
-            if getattr(self, f.name).shape != self.ue.shape:
-                raise ValueError(
-                    f"{f.name} must have shape {self.ue.shape}, not {getattr(self, f.name).shape}"
-                )
-        if self.position is not None and self.position.shape != (len(self.ue), 3):
-            raise ValueError(f"position must be {(len(self.ue), 3)}, not {self.position.shape}")
+    def __init__(
+        self,
+        array: str,
+        method: Method,
+        ue: NDArray[np.uint64],
+        time_ns: NDArray[np.int64],
+        **columns: NDArray[Any] | None,
+    ) -> None:
+        self.array = array
+        self.method = method
+        given: dict[str, NDArray[Any]] = {"ue": ue, "time_ns": time_ns}
+        given |= {name: values for name, values in columns.items() if values is not None}
+        self.columns = given
+        if missing := [c.name for c in COLUMNS.values() if not c.optional and c.name not in given]:
+            raise ValueError(f"a chart update needs {', '.join(missing)}")
+        for name, values in given.items():
+            if name not in COLUMNS:
+                raise ValueError(f"there is no column {name!r}, only {', '.join(COLUMNS)}")
+            expected = COLUMNS[name].shape(len(ue))
+            if values.shape != expected:
+                raise ValueError(f"{name} must have shape {expected}, not {values.shape}")
+
+    @property
+    def position(self) -> NDArray[np.float32] | None:
+        """Known reference positions (K, 3), or None."""
+        return self.columns.get("position")
 
     def __len__(self) -> int:
-        return len(self.ue)
+        return len(self.columns["ue"])
 
-    def take(self, index: NDArray[Any]) -> ChartUpdate:
-        """The rows that `index` (integers or a mask) picks, in that order."""
-        columns = {f.name: getattr(self, f.name)[index] for f in fields(self)[2:-1]}
-        position = None if self.position is None else self.position[index]
-        return ChartUpdate(self.array, self.method, position=position, **columns)
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        values = self.columns.get(name)
+        return COLUMNS[name].missing(len(self)) if values is None else values
+
+    if not TYPE_CHECKING:  # mypy knows the attributes by their names above, and finds any other
+
+        def __getattr__(self, name: str) -> NDArray[Any]:
+            if name not in COLUMNS:
+                raise AttributeError(f"a chart update has no {name!r}")
+            return self[name]
+
+    def __repr__(self) -> str:
+        method = f"{self.method.theta}/{self.method.rho}"
+        besides = "".join(f", {name}" for name in self.columns if COLUMNS[name].optional)
+        return f"<ChartUpdate of {self.array!r} by {method}: {len(self)} UEs{besides}>"
+
+    def take(self, index: NDArray[Any] | slice) -> ChartUpdate:
+        """The rows that `index` (integers, a mask or a slice) picks, in that order."""
+        columns = {name: values[index] for name, values in self.columns.items()}
+        return ChartUpdate(self.array, self.method, **columns)
+
+    def with_columns(self, **columns: NDArray[Any]) -> ChartUpdate:
+        """The same rows with these columns, besides what they have or instead of it."""
+        return ChartUpdate(self.array, self.method, **{**self.columns, **columns})
 
     def parts(self, rows: int) -> Iterator[ChartUpdate]:
         """The same in pieces of at most `rows` rows, none where there is no row."""
@@ -82,7 +136,53 @@ class ChartUpdate:
             yield self
             return
         for start in range(0, len(self), rows):
-            yield self.take(np.arange(start, min(start + rows, len(self))))
+            yield self.take(slice(start, start + rows))
+
+    def flat(self) -> dict[str, NDArray[Any]]:
+        """What there is as columns of one number a row, in the schema's order: `position_x` and so on."""
+        present = (column for column in COLUMNS.values() if column.name in self.columns)
+        return {name: v for column in present for name, v in column.flat(self.columns[column.name])}
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The rows as a data frame with the columns of `flat`; its `attrs` hold array and method.
+
+        Raises
+        ------
+        SetupError
+            If pandas is not installed.
+        """
+        require("pandas", "a data frame:")
+        import pandas as pd
+
+        frame = pd.DataFrame(self.flat())
+        frame.attrs.update(array=self.array, theta=self.method.theta, rho=self.method.rho)
+        return frame
+
+    def plain(self) -> dict[str, Any]:
+        """As plain values for JSON: columns as lists, rounded to their decimals, None where not finite."""
+        method = {"theta": self.method.theta, "rho": self.method.rho}
+        columns = {name: COLUMNS[name].plain(values) for name, values in self.columns.items()}
+        return {"array": self.array, "method": method, **columns}
+
+    @staticmethod
+    def from_plain(values: Mapping[str, Any]) -> ChartUpdate:
+        """The update behind plain values, as `plain` and chart messages have them; None becomes NaN.
+
+        Columns that nobody here knows are left out.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError, OverflowError
+            If they are none.
+        """
+        method = Method(str(values["method"]["theta"]), str(values["method"]["rho"]))
+        rows = len(values["ue"])
+        columns = {
+            column.name: np.array(values[column.name], column.dtype).reshape(column.shape(rows))
+            for column in COLUMNS.values()
+            if not column.optional or column.name in values
+        }
+        return ChartUpdate(str(values["array"]), method, **columns)
 
     @staticmethod
     def concatenate(updates: list[ChartUpdate]) -> ChartUpdate:
@@ -90,15 +190,8 @@ class ChartUpdate:
         last = updates[-1]
         if len(updates) == 1:
             return last
-        columns = {f.name: np.concatenate([getattr(u, f.name) for u in updates]) for f in fields(last)[2:-1]}
-        position = None
-        if any(u.position is not None for u in updates):
-            position = np.concatenate(
-                [
-                    np.full((len(u), 3), np.nan, np.float32) if u.position is None else u.position
-                    for u in updates
-                ]
-            )
-        everything = ChartUpdate(last.array, last.method, position=position, **columns)
+        names = {name: None for update in updates for name in update.columns}
+        columns = {name: np.concatenate([update[name] for update in updates]) for name in names}
+        everything = ChartUpdate(last.array, last.method, **columns)
         _, from_end = np.unique(everything.ue[::-1], return_index=True)
         return everything.take(np.sort(len(everything) - 1 - from_end))

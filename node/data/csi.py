@@ -60,6 +60,12 @@ class CsiBlock:
     def __len__(self) -> int:
         return len(self.ue)
 
+    def __repr__(self) -> str:
+        _, antennas, subcarriers = self.csi.shape
+        who = f"{len(self)} frames of {len(np.unique(self.ue))} UEs"
+        known = "" if self.position is None else ", position"
+        return f"<CsiBlock of {self.array!r} from {self.seq}: {who}, {antennas} x {subcarriers}{known}>"
+
     @property
     def antennas(self) -> int:
         """N_R."""

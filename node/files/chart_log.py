@@ -5,18 +5,16 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import msgpack
-import numpy as np
 import zstandard
 from mcap.exceptions import McapError
 from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from chachart.node.data.chart import ChartUpdate, Method
+from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.counters import Counters
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
@@ -72,7 +70,7 @@ class ChartLogReader:
         """The chart's updates in the order in which they were written."""
         for _, values in self._messages("chart."):
             try:
-                update = _update(values)
+                update = ChartUpdate.from_plain(values)
             except (KeyError, TypeError, ValueError, OverflowError):
                 self.damaged.add("message")
             else:
@@ -142,24 +140,3 @@ def _records(path: Path, damaged: Counters) -> Iterator[McapRecord]:
                 yield from held
         except _DAMAGE:
             damaged.add("cut_off")
-
-
-def _update(values: dict[str, Any]) -> ChartUpdate:
-    """A chart message as a chart update; None becomes NaN.
-
-    Raises
-    ------
-    KeyError, TypeError, ValueError, OverflowError
-        If it is none.
-    """
-    method = Method(str(values["method"]["theta"]), str(values["method"]["rho"]))
-    columns = {f.name: np.array(values[f.name], np.float64) for f in fields(ChartUpdate)[4:-1]}
-    position = values.get("position")
-    return ChartUpdate(
-        str(values["array"]),
-        method,
-        ue=np.array(values["ue"], np.uint64),
-        time_ns=np.array(values["time_ns"], np.int64),
-        position=None if position is None else np.array(position, np.float32).reshape(-1, 3),
-        **columns,
-    )

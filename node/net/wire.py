@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from typing import Any
 
 import msgpack
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.data.chart import ChartUpdate, Method
+from chachart.node.data.columns import COLUMNS
 from chachart.node.data.csi import CsiBlock
 
 VERSION = 1
@@ -92,15 +92,12 @@ def encode_chart(update: ChartUpdate, seq: int) -> bytes:
         "seq": seq,
         "method": {"theta": update.method.theta, "rho": update.method.rho},
     }
-    for f in fields(update)[2:-1]:
-        body[f.name] = getattr(update, f.name).tolist()
-    if update.position is not None:
-        body["position"] = update.position.tolist()
+    body |= {name: values.tolist() for name, values in update.columns.items()}
     return bytes(msgpack.packb(body))
 
 
 def decode_chart(body: Buffer) -> tuple[int, ChartUpdate]:
-    """The sequence number and the update that a chart message holds.
+    """The sequence number and the update that a chart message holds; columns nobody here knows are left out.
 
     Raises
     ------
@@ -109,20 +106,15 @@ def decode_chart(body: Buffer) -> tuple[int, ChartUpdate]:
     """
     message = _unpack(body, "chart")
     method = _field(message, "method", dict)
-    integers = {"ue": np.uint64, "time_ns": np.int64}
     rows = len(_field(message, "ue", list))
     columns = {}
-    for f in fields(ChartUpdate)[2:-1]:
-        optional = f.name in ("theta_std", "rho_std") and f.name not in message
-        values = [math.nan] * rows if optional else _field(message, f.name, list)
-        columns[f.name] = _numbers(f.name, values, integers.get(f.name, np.float64), (rows,))
-    position = None
-    if "position" in message:
-        position = _numbers("position", _field(message, "position", list), np.float32, (rows, 3))
+    for column in COLUMNS.values():
+        if not column.optional or column.name in message:
+            values = _field(message, column.name, list)
+            columns[column.name] = _numbers(column.name, values, column.dtype, column.shape(rows))
     update = ChartUpdate(
         _field(message, "array", str),
         Method(_field(method, "theta", str), _field(method, "rho", str)),
-        position=position,
         **columns,
     )
     return _field(message, "seq", int), update
@@ -249,7 +241,7 @@ def _samples(header: Mapping[str, Any], raw: Buffer, shape: list[int]) -> NDArra
     return pairs.view(np.complex64).reshape(shape)
 
 
-def _numbers(name: str, values: list[Any], dtype: type, shape: tuple[int, ...]) -> NDArray[Any]:
+def _numbers(name: str, values: list[Any], dtype: str, shape: tuple[int, ...]) -> NDArray[Any]:
     try:
         column: NDArray[Any] = np.array(values, dtype).reshape(shape)
     except (ValueError, TypeError, OverflowError) as error:

@@ -164,7 +164,7 @@ class Node:
         if operation == "ues":
             return ue_list(self.chart())
         if operation == "chart":
-            return chart_columns(self.chart())
+            return chart_columns(self.chart(), self._plan.array)
         result = self._pending.ask(operation, arguments)
         if operation == "set_method":
             self._method = result

@@ -4,8 +4,8 @@
 operation  arguments    answer
 ========== ============ ==================================================================================
 status                  `chachart.node.runtime.status.NodeStatus`
-ues                     {ues: [{ue, time_ns, theta, rho, theta_std, rho_std, x, y, snr, snapshots}, ...]}
-chart                   the body of a chart message (protocol 1), {} before the first estimate
+ues                     {ues: [a map of each UE's columns, `chachart.node.data.columns`, ...]}
+chart                   the body of a chart message (protocol 1) and `geometry`, {} before the first estimate
 spectrum   ue           {theta_grid_rad, theta_spectrum, rho_grid_m, rho_spectrum, theta, rho, ...}
 set_method theta, rho   {theta, rho}; holds from the next block on, no frame is lost
 record     on, path     {on, where, received, dropped}; path is needed to start, not to stop
@@ -18,7 +18,6 @@ import itertools
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import fields
 from typing import Any
 
 import msgpack
@@ -26,6 +25,7 @@ from pydantic import ValidationError
 
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.errors import RequestError
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.net.wire import encode_chart
 from chachart.node.runtime.plan import Plan, estimator_problems
 
@@ -89,17 +89,16 @@ def ue_list(chart: ChartUpdate | None) -> dict[str, Any]:
     """The answer to `ues`."""
     if chart is None:
         return {"ues": []}
-    names = [f.name for f in fields(chart)[2:-1]]
-    rows = zip(*(getattr(chart, name).tolist() for name in names), strict=True)
-    return {"ues": [dict(zip(names, row, strict=True)) for row in rows]}
+    rows = zip(*(values.tolist() for values in chart.columns.values()), strict=True)
+    return {"ues": [dict(zip(chart.columns, row, strict=True)) for row in rows]}
 
 
-def chart_columns(chart: ChartUpdate | None) -> dict[str, Any]:
-    """The answer to `chart`: what subscribers get, as a map."""
+def chart_columns(chart: ChartUpdate | None, array: ArrayGeometry) -> dict[str, Any]:
+    """The answer to `chart`: what subscribers get, as a map, and `geometry`, the description of the array."""
     if chart is None:
         return {}
     body: dict[str, Any] = msgpack.unpackb(encode_chart(chart, 0))
-    return body
+    return {**body, "geometry": array.as_dict()}
 
 
 class PendingRequests:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import fields
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.data.chart import ChartUpdate, Method
-from chachart.node.estimation.slots import SlotTable
+from chachart.node.data.columns import COLUMNS, Column
+from chachart.node.estimation.slots import Assignment, SlotTable
 from chachart.node.estimation.state import grown
-
-_COLUMNS = [f.name for f in fields(ChartUpdate)[3:-1]]
 
 
 class ChartTable:
@@ -29,11 +28,8 @@ class ChartTable:
         self.evicted = 0
         self.forgotten = 0
         self._slots = SlotTable(max_ues)
-        self._columns: dict[str, NDArray[Any]] = {
-            name: np.zeros(0, np.int64 if name == "time_ns" else np.float64) for name in _COLUMNS
-        }
-        self._position = np.zeros((0, 3), np.float32)
-        self._latest: tuple[str, Method] | None = None
+        self._columns: dict[str, NDArray[Any]] = {}
+        self._latest: tuple[str, Method, Collection[str]] | None = None
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
@@ -46,16 +42,14 @@ class ChartTable:
             update = update.take(np.arange(len(update) - self._slots.max_ues, len(update)))
         with self._lock:
             assignment = self._slots.assign(update.ue, update.time_ns)
-            self._grow()
             self.evicted += len(assignment.evicted)
-            self._position[assignment.new] = np.nan
-            slots = assignment.slots
-            for name, column in self._columns.items():
-                column[slots] = getattr(update, name)
-            if update.position is not None:
-                known = np.isfinite(update.position).all(axis=1)
-                self._position[slots[known]] = update.position[known]
-            self._latest = (update.array, update.method)
+            for name in [name for name in update.columns if name not in self._columns]:
+                self._columns[name] = COLUMNS[name].missing(self._slots.capacity)
+            for name, kept in self._columns.items():
+                if len(kept) < self._slots.capacity:
+                    self._columns[name] = kept = grown(kept, self._slots.capacity)
+                _put(COLUMNS[name], kept, update.columns.get(name), assignment)
+            self._latest = (update.array, update.method, update.columns.keys())
 
     def forget(self, before_ns: int) -> None:
         """Let go of UEs last seen before that time."""
@@ -70,18 +64,27 @@ class ChartTable:
             slots = self._slots.slots
             if self._latest is None or not len(slots):
                 return None
-            position = self._position[slots]
-            array, method = self._latest
+            columns = {name: kept[slots] for name, kept in self._columns.items() if name != "ue"}
+            array, method, given = self._latest
             return ChartUpdate(
                 array,
                 method,
                 ue=self._slots.ues(slots),
-                position=None if np.isnan(position).all() else position,
-                **{name: column[slots] for name, column in self._columns.items()},
+                **{
+                    name: values
+                    for name, values in columns.items()
+                    if name in given or COLUMNS[name].known(values).any()
+                },
             )
 
-    def _grow(self) -> None:
-        capacity = self._slots.capacity
-        if len(self._position) < capacity:
-            self._columns = {name: grown(column, capacity) for name, column in self._columns.items()}
-            self._position = grown(self._position, capacity)
+
+def _put(column: Column, kept: NDArray[Any], values: NDArray[Any] | None, assignment: Assignment) -> None:
+    """Take one column of new rows; where it has none, or a lasting one says nothing, what is due stays."""
+    slots = assignment.slots
+    if column.lasting:
+        kept[assignment.new] = column.fill
+        if values is not None:
+            known = column.known(values)
+            kept[slots[known]] = values[known]
+    else:
+        kept[slots] = column.fill if values is None else values

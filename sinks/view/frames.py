@@ -3,7 +3,7 @@
     uint32   length of the header in bytes, little-endian
     header   {"type": "chart", "full": bool, "rows": n, "method": {...}, "columns": [[name, kind], ...]}
     zeros    up to a multiple of 8 bytes from the start
-    columns  n values each, little-endian; kind u8 is uint64, f8 float64, f4 float32
+    columns  n values each, little-endian; kind u8 is uint64, i8 int64, f4 float32, u4 uint32, i4 int32
 
 A full frame is the whole chart: a UE that it does not name is gone. Any other holds only what has changed.
 """
@@ -11,24 +11,24 @@ A full frame is the whole chart: a UE that it does not name is gone. Any other h
 from __future__ import annotations
 
 import json
+from typing import Any
 
-import numpy as np
+from numpy.typing import NDArray
 
 from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.columns import COLUMNS
 from chachart.node.data.geometry import ArrayGeometry
 
-_SHOWN = ("x", "y", "theta", "rho", "theta_std", "rho_std", "snr", "snapshots")
+_BYTES = {"u8": 8, "i8": 8, "f4": 4, "u4": 4, "i4": 4}
 
 
 def encode_frame(update: ChartUpdate, array: ArrayGeometry, full: bool) -> bytes:
-    """The frame of an update; reference positions become chart coordinates `true_x`, `true_y`."""
-    columns = [("ue", "u8", update.ue.astype("<u8")), ("time", "f8", (update.time_ns / 1e6).astype("<f8"))]
-    columns += [(name, "f4", getattr(update, name).astype("<f4")) for name in _SHOWN]
-    if update.position is None:
-        true_x = true_y = np.full(len(update), np.nan)
-    else:
-        true_x, true_y = array.chart_of(update.position)
-    columns += [("true_x", "f4", true_x.astype("<f4")), ("true_y", "f4", true_y.astype("<f4"))]
+    """The frame of an update; reference positions are also there in chart coordinates, `true_x`, `true_y`."""
+    columns = [(name, *_raw(values)) for name, values in update.flat().items()]
+    if update.position is not None:
+        true = zip(("true_x", "true_y"), array.chart_of(update.position), strict=True)
+        columns += [(name, *_raw(values)) for name, values in true]
+    columns.sort(key=lambda column: -_BYTES[column[1]])  # the wide ones first: all are aligned
     header = json.dumps(
         {
             "type": "chart",
@@ -40,4 +40,27 @@ def encode_frame(update: ChartUpdate, array: ArrayGeometry, full: bool) -> bytes
     ).encode()
     head = len(header).to_bytes(4, "little") + header
     head += bytes(-len(head) % 8)
-    return b"".join([head, *(values.tobytes() for _, _, values in columns)])
+    return b"".join([head, *(raw for _, _, raw in columns)])
+
+
+def describe() -> list[dict[str, Any]]:
+    """What the page has to know of the columns that may come, one entry a flat column."""
+    flat = [(name, column) for column in COLUMNS.values() for name, _ in column.flat(column.missing(0))]
+    flat += [(name, COLUMNS["x"]) for name in ("true_x", "true_y")]
+    return [
+        {
+            "name": name,
+            "file_name": column.file_name(name),
+            "label": column.label,
+            "unit": column.unit,
+            "decimals": column.decimals,
+        }
+        for name, column in flat
+    ]
+
+
+def _raw(values: NDArray[Any]) -> tuple[str, bytes]:
+    """Kind and bytes of a column: floats are sent as float32, whole numbers as they are or as 32 bits."""
+    width = 4 if values.dtype.kind == "f" else max(4, values.dtype.itemsize)
+    kind = f"{values.dtype.kind}{width}"
+    return kind, values.astype(f"<{kind}").tobytes()

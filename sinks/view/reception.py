@@ -21,6 +21,7 @@ from chachart.node.data.errors import RequestError
 from chachart.node.data.methods import RhoMethod, ThetaMethod
 from chachart.sinks.operations import Operations
 from chachart.sinks.view.curve import CurveKeeper
+from chachart.sinks.view.frames import describe
 from chachart.sinks.view.hub import Hub, Viewer
 
 TRY_AGAIN = 1013
@@ -77,6 +78,7 @@ class Reception:
                 "type": "hello",
                 "page": self._page_id,
                 "array": self._hub.array.as_dict(),
+                "columns": describe(),
                 "methods": {"theta": get_args(ThetaMethod), "rho": get_args(RhoMethod)},
                 "rate_hz": self._hub.rate_hz,
                 **self._hub.past(),

@@ -123,7 +123,8 @@ def test_ctl_saves_the_chart(node: LiveNode, tmp_path: Path, capsys: pytest.Capt
     with (tmp_path / "chart.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert sorted(int(row["ue"]) for row in rows) == list(range(60))
-    assert all(float(row["x"]) >= 0 for row in rows)
+    assert all(float(row["x_m"]) >= 0 for row in rows)
+    assert all(abs(float(row["true_x_m"]) - float(row["position_x_m"])) < 1 for row in rows)
     assert ctl(node, "snapshot", str(tmp_path / "chart.json")) == 0
     assert len(json.loads((tmp_path / "chart.json").read_text())["ue"]) == 60
     assert ctl(node, "snapshot", str(tmp_path / "chart.xlsx")) == EX_CONFIG

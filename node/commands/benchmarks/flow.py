@@ -8,7 +8,6 @@ import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator
-from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from chachart.config.settings import ArraySettings
 from chachart.node.commands.benchmarks.report import Table
 from chachart.node.commands.benchmarks.timing import Timing, time_in_turn
 from chachart.node.data.chart import ChartUpdate, Method
+from chachart.node.data.columns import COLUMNS
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.files.recording import RecordingReader, RecordingWriter
@@ -206,7 +206,9 @@ def _decode_chart(bodies: list[bytes]) -> list[tuple[int, ChartUpdate]]:
 
 def _chart(ues: int) -> ChartUpdate:
     rng = np.random.default_rng(2)
-    columns: dict[str, Any] = {f.name: rng.uniform(0.1, 3.0, ues) for f in fields(ChartUpdate)[4:-1]}
+    columns: dict[str, Any] = {
+        c.name: rng.uniform(0.1, 3.0, ues) for c in COLUMNS.values() if c.dtype == "float64"
+    }
     ue = np.arange(ues, dtype=np.uint64)
     return ChartUpdate("lab", Method("bartlett", "bartlett"), ue, 100_000 * ue.astype(np.int64), **columns)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,24 +15,13 @@ from numpy.typing import NDArray
 
 from chachart.node.commands.exporting.geodesy import beside
 from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.columns import COLUMNS, rounded
 from chachart.node.data.errors import SetupError
 from chachart.node.data.extras import require
 from chachart.node.data.geometry import ArrayGeometry
 
 GROUP_ROWS = 65_536
 """Rows of a Parquet row group."""
-COLUMNS = {
-    "theta": "theta_rad",
-    "rho": "rho_m",
-    "theta_std": "theta_std_rad",
-    "rho_std": "rho_std_m",
-    "x": "x_m",
-    "y": "y_m",
-    "snr": "snr_db",
-    "snapshots": "snapshots",
-}
-"""Columns of a chart, and what they are called in a file."""
-POSITION = ("position_x_m", "position_y_m", "position_z_m")
 LEVEL = 0.5
 """Broadside and axis span at least so much of a horizontal plane, or the chart is no map."""
 
@@ -75,48 +64,56 @@ class Place:
         return np.stack([longitude, latitude], axis=1)
 
 
-def _table(chart: ChartUpdate) -> dict[str, Any]:
-    """The rows as columns."""
-    rows = len(chart)
-    position = np.full((rows, 3), np.nan, np.float32) if chart.position is None else chart.position
-    return {
-        "ue": chart.ue,
-        "time_ns": chart.time_ns,
-        **{name: getattr(chart, column) for column, name in COLUMNS.items()},
-        **{name: position[:, i] for i, name in enumerate(POSITION)},
-        "array": [chart.array] * rows,
-        "theta_method": [chart.method.theta] * rows,
-        "rho_method": [chart.method.rho] * rows,
-    }
+@dataclass(frozen=True, slots=True)
+class Table:
+    """How rows of a chart look in every file: units in the names, truth in world and chart coordinates.
+
+    `names` are the schema's columns that the file has; a row without one is filled in.
+    """
+
+    names: Collection[str]
+    array: ArrayGeometry
+
+    def columns(self, chart: ChartUpdate) -> dict[str, NDArray[Any] | list[str]]:
+        """The rows as columns, nothing rounded."""
+        return {name: values for name, _, values in self._columns(chart)} | self._words(chart)
+
+    def rows(self, chart: ChartUpdate) -> Iterator[tuple[Any, ...]]:
+        """The rows one by one as plain values, with the digits that say something; None where unknown."""
+        numbers = [rounded(values, decimals) for _, decimals, values in self._columns(chart)]
+        return zip(*numbers, *self._words(chart).values(), strict=True)
+
+    def _columns(self, chart: ChartUpdate) -> Iterator[tuple[str, int, NDArray[Any]]]:
+        for column in COLUMNS.values():
+            if column.name in self.names:
+                for name, values in column.flat(chart[column.name]):
+                    yield column.file_name(name), column.decimals, values
+        if "position" in self.names:
+            for name, values in zip(
+                ("true_x_m", "true_y_m"), self.array.chart_of(chart["position"]), strict=True
+            ):
+                yield name, COLUMNS["x"].decimals, values
+
+    @staticmethod
+    def _words(chart: ChartUpdate) -> dict[str, list[str]]:
+        words = {"array": chart.array, "theta_method": chart.method.theta, "rho_method": chart.method.rho}
+        return {name: [word] * len(chart) for name, word in words.items()}
 
 
-def _plain(values: Any) -> list[Any]:
-    """A column as plain values, None where not finite."""
-    if isinstance(values, list):
-        return values
-    plain: list[Any] = values.tolist()
-    if np.issubdtype(values.dtype, np.floating):
-        if values.dtype == np.float32:
-            plain = [float(str(value)) for value in values]  # not the many digits of its double
-        for row in np.flatnonzero(~np.isfinite(values)).tolist():
-            plain[row] = None
-    return plain
-
-
-def _csv(path: Path, charts: Iterator[ChartUpdate], array: ArrayGeometry, place: Place | None) -> int:
+def write_csv(path: Path, charts: Iterable[ChartUpdate], table: Table, place: Place | None = None) -> int:
+    """The rows as CSV, unknown values empty; how many there were."""
     rows = 0
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         for chart in charts:
-            table = _table(chart)
             if rows == 0:
-                writer.writerow(table)
-            writer.writerows(zip(*map(_plain, table.values()), strict=True))
+                writer.writerow(table.columns(chart))
+            writer.writerows(table.rows(chart))
             rows += len(chart)
     return rows
 
 
-def _parquet(path: Path, charts: Iterator[ChartUpdate], array: ArrayGeometry, place: Place | None) -> int:
+def _parquet(path: Path, charts: Iterable[ChartUpdate], table: Table, place: Place | None) -> int:
     require("parquet", f"{path}:")
     import pyarrow as pa
     from pyarrow import parquet
@@ -124,11 +121,11 @@ def _parquet(path: Path, charts: Iterator[ChartUpdate], array: ArrayGeometry, pl
     rows, waiting, writer = 0, [], None
     try:
         for chart in charts:
-            table = pa.table({name: pa.array(v, from_pandas=True) for name, v in _table(chart).items()})
+            part = pa.table({name: pa.array(v, from_pandas=True) for name, v in table.columns(chart).items()})
             if writer is None:
-                about = {"chachart.array": json.dumps(array.as_dict())}
-                writer = parquet.ParquetWriter(path, table.schema.with_metadata(about), compression="zstd")
-            waiting.append(table.cast(writer.schema))
+                about = {"chachart.array": json.dumps(table.array.as_dict())}
+                writer = parquet.ParquetWriter(path, part.schema.with_metadata(about), compression="zstd")
+            waiting.append(part.cast(writer.schema))
             rows += len(chart)
             if sum(map(len, waiting)) >= GROUP_ROWS:
                 writer.write_table(pa.concat_tables(waiting), GROUP_ROWS)
@@ -141,25 +138,22 @@ def _parquet(path: Path, charts: Iterator[ChartUpdate], array: ArrayGeometry, pl
     return rows
 
 
-def _geojson(path: Path, charts: Iterator[ChartUpdate], array: ArrayGeometry, place: Place | None) -> int:
+def _geojson(path: Path, charts: Iterable[ChartUpdate], table: Table, place: Place | None) -> int:
     if place is None:
         raise SetupError("GeoJSON needs the array's place: --latitude, --longitude and --heading-deg")
     rows = 0
     with path.open("w", encoding="utf-8") as file:
         file.write('{"type": "FeatureCollection", "features": [')
         for chart in charts:
-            table = _table(chart)
-            times = table.pop("time_ns")
-            table["time"] = [
-                datetime.fromtimestamp(t / 1e9, UTC).isoformat(timespec="microseconds")
-                for t in times.tolist()
-            ]
-            points = np.round(place.coordinates(chart, array), 8).tolist()
-            for point, row in zip(points, zip(*map(_plain, table.values()), strict=True), strict=True):
+            names = list(table.columns(chart))
+            points = np.round(place.coordinates(chart, table.array), 8).tolist()
+            for point, row in zip(points, table.rows(chart), strict=True):
+                properties = dict(zip(names, row, strict=True))
+                properties["time"] = _time(properties.pop("time_ns"))
                 feature = {
                     "type": "Feature",
                     "geometry": {"type": "Point", "coordinates": point},
-                    "properties": dict(zip(table, row, strict=True)),
+                    "properties": properties,
                 }
                 file.write(("," if rows else "") + "\n" + json.dumps(feature))
                 rows += 1
@@ -167,7 +161,11 @@ def _geojson(path: Path, charts: Iterator[ChartUpdate], array: ArrayGeometry, pl
     return rows
 
 
-Writer = Callable[[Path, Iterator[ChartUpdate], ArrayGeometry, Place | None], int]
-WRITERS: dict[str, Writer] = {".csv": _csv, ".parquet": _parquet, ".geojson": _geojson}
+def _time(time_ns: int) -> str:
+    return datetime.fromtimestamp(time_ns / 1e9, UTC).isoformat(timespec="microseconds")
+
+
+Writer = Callable[[Path, Iterable[ChartUpdate], Table, Place | None], int]
+WRITERS: dict[str, Writer] = {".csv": write_csv, ".parquet": _parquet, ".geojson": _geojson}
 """By the ending of the file's name; each returns how many rows there were, and raises SetupError where a
 package or the place is missing."""

@@ -3,11 +3,6 @@
 import { css } from './colours.js';
 import { font } from './axes.js';
 
-const COLUMNS = [
-  ['x', 'x_m'], ['y', 'y_m'], ['theta', 'theta_rad'], ['rho', 'rho_m'], ['theta_std', 'theta_std_rad'], ['rho_std', 'rho_std_m'],
-  ['snr', 'snr_db'], ['snapshots', 'snapshots'], ['true_x', 'true_x_m'], ['true_y', 'true_y_m'],
-];
-
 function save(blob, name) {
   const link = document.createElement('a');
   link.href = URL.createObjectURL(blob);
@@ -18,12 +13,13 @@ function save(blob, name) {
 
 export const stamp = () => new Date().toISOString().slice(0, 19).replace(/[-:]/g, '').replace('T', '-');
 
-/** The whole chart as CSV, one UE a row; unknown values are empty. */
-export function saveCsv(world, array) {
-  const lines = [['ue', 'time_s', ...COLUMNS.map(([, name]) => name)].join(',')];
+/** The whole chart as CSV, one UE a row, as `chachart export` has it; unknown values are empty. */
+export function saveCsv(world, array, method) {
+  const columns = world.columns.filter(({ name }) => world.present.has(name));
+  const lines = [[...columns.map((column) => column.file_name), 'array', 'theta_method', 'rho_method'].join(',')];
+  const text = (value, decimals) => (typeof value === 'bigint' ? `${value}` : Number.isFinite(value) ? `${Number(value.toFixed(decimals))}` : '');
   for (let i = 0; i < world.rows; i++) {
-    const values = COLUMNS.map(([column]) => world[column][i]).map((v) => (Number.isFinite(v) ? `${v}` : ''));
-    lines.push([world.ue[i], (world.time[i] / 1000).toFixed(3), ...values].join(','));
+    lines.push([...columns.map(({ name, decimals }) => text(world[name][i], decimals)), array, method.theta, method.rho].join(','));
   }
   save(new Blob([`${lines.join('\n')}\n`], { type: 'text/csv' }), `chart-${array}-${stamp()}.csv`);
 }

@@ -51,6 +51,7 @@ stream.addEventListener('state', () => {
 stream.addEventListener('hello', ({ detail }) => {
   if (hello && hello.page !== detail.page) location.reload();
   hello = detail;
+  world.describe(hello.columns);
   const { array } = hello;
   $('array').textContent = `${array.name} · ${array.antennas} antennas · ${array.subcarriers} subcarriers · ${number(array.carrier_hz / 1e9)} GHz`;
   document.title = `${array.name} · chachart`;
@@ -242,7 +243,7 @@ function caption() {
 }
 
 const png = () => savePng(picture, caption(), hello?.array.name ?? 'node');
-const csv = () => saveCsv(world, hello?.array.name ?? 'node');
+const csv = () => saveCsv(world, hello?.array.name ?? 'node', { theta: $('theta').value, rho: $('rho').value });
 const dark = () => document.documentElement.dataset.theme === 'dark';
 
 choose('colour', (value) => (picture.colouring.by = value));

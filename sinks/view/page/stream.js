@@ -1,6 +1,6 @@
 // The connection to the node: comes back by itself, decodes chart frames, matches answers to questions.
 
-const COLUMNS = { u8: [BigUint64Array, 8], f8: [Float64Array, 8], f4: [Float32Array, 4] };
+const COLUMNS = { u8: [BigUint64Array, 8], i8: [BigInt64Array, 8], f4: [Float32Array, 4], u4: [Uint32Array, 4], i4: [Int32Array, 4] };
 const SILENCE_MS = 6000; // the node says something at least every second
 const ANSWER_MS = 10000;
 

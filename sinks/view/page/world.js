@@ -1,15 +1,24 @@
 // What the page knows of every UE: one row each in typed arrays, with a short history behind it.
 
 export const HISTORY = 40; // samples a UE, at most one a second of the data's own time
-const FLOATS = ['x', 'y', 'true_x', 'true_y', 'theta', 'rho', 'theta_std', 'rho_std', 'snr', 'snapshots'];
 const TRACED = ['x', 'y', 'theta', 'rho', 'snr'];
 
 export class World {
   constructor() {
+    this.columns = [];
+    this.clear();
+  }
+
+  /** Which columns frames may have, as the node's hello tells: [{name, file_name, label, unit, decimals}]. */
+  describe(columns) {
+    if (JSON.stringify(columns) === JSON.stringify(this.columns)) return;
+    this.columns = columns;
     this.clear();
   }
 
   clear() {
+    this.numbers = this.columns.map(({ name }) => name).filter((name) => name !== 'ue' && name !== 'time_ns');
+    this.present = new Set();
     this.rows = 0;
     this.capacity = 0;
     this.index = new Map();
@@ -26,9 +35,10 @@ export class World {
       if (old) array.set(old);
       return array;
     };
-    for (const name of FLOATS) this[name] = wider(Float32Array, this.rows && this[name]);
+    for (const name of this.numbers) this[name] = wider(Float64Array, this.rows && this[name]);
     for (const name of ['px', 'py']) this[name] = wider(Float32Array, this.rows && this[name]);
     this.ue = wider(BigUint64Array, this.rows && this.ue);
+    this.time_ns = wider(BigInt64Array, this.rows && this.time_ns);
     this.time = wider(Float64Array, this.rows && this.time);
     this.epoch = wider(Uint32Array, this.rows && this.epoch);
     this.traces = wider(Uint32Array, this.rows && this.traces);
@@ -41,30 +51,44 @@ export class World {
   /** Take a chart frame in. A full one is the whole truth: UEs it does not name are gone. */
   apply(frame) {
     this.version++;
-    if (frame.full) this.newest = 0;
-    for (let i = 0; i < frame.rows; i++) {
-      const ue = frame.ue[i];
-      let row = this.index.get(ue);
-      const fresh = row === undefined;
-      if (fresh) {
-        if (this.rows === this.capacity) this.#grow(this.capacity * 2);
-        row = this.rows++;
-        this.index.set(ue, row);
-        this.ue[row] = ue;
-        this.traces[row] = 0;
-      }
-      for (const name of FLOATS) this[name][row] = frame[name][i];
-      this.time[row] = frame.time[i];
+    if (frame.full) {
+      this.newest = 0;
+      this.present.clear();
+    }
+    for (const [name] of frame.columns) this.present.add(name);
+    const rows = Uint32Array.from(frame.ue, (ue) => this.#row(ue));
+    for (const name of this.numbers) {
+      const column = this[name];
+      const values = frame[name];
+      for (let i = 0; i < rows.length; i++) column[rows[i]] = values ? values[i] : NaN;
+    }
+    for (let i = 0; i < rows.length; i++) {
+      const row = rows[i];
+      this.time_ns[row] = frame.time_ns[i];
+      this.time[row] = Number(frame.time_ns[i]) / 1e6;
       this.epoch[row] = this.version;
-      if (fresh) {
+      if (!this.traces[row]) {
         this.px[row] = this.x[row];
         this.py[row] = this.y[row];
       }
-      if (frame.time[i] > this.newest) this.newest = frame.time[i];
+      if (this.time[row] > this.newest) this.newest = this.time[row];
       this.#trace(row);
     }
     if (frame.full) this.#forget();
     this.heard = performance.now();
+  }
+
+  /** The row of a UE, a new one at the end where there is none. */
+  #row(ue) {
+    let row = this.index.get(ue);
+    if (row === undefined) {
+      if (this.rows === this.capacity) this.#grow(this.capacity * 2);
+      row = this.rows++;
+      this.index.set(ue, row);
+      this.ue[row] = ue;
+      this.traces[row] = 0;
+    }
+    return row;
   }
 
   #trace(row) {
@@ -86,7 +110,7 @@ export class World {
       this.index.delete(this.ue[row]);
       const last = --this.rows;
       if (row === last) continue;
-      for (const name of [...FLOATS, 'px', 'py', 'ue', 'time', 'epoch', 'traces']) this[name][row] = this[name][last];
+      for (const name of [...this.numbers, 'px', 'py', 'ue', 'time', 'time_ns', 'epoch', 'traces']) this[name][row] = this[name][last];
       for (const column of Object.values(this.past)) {
         column.copyWithin(row * HISTORY, last * HISTORY, (last + 1) * HISTORY);
       }

@@ -55,7 +55,7 @@ def test_lines_where_the_output_is_piped(endpoint: str) -> None:
     line = done.stdout.splitlines()[-1]
     for word in ("lab: 500 UEs", "estimates/s", "bartlett/music", "TW 0.9877", "messages lost"):
         assert word in line
-    assert "UE 250: theta 14.32 deg, rho 250.0 m, x 250.0 m, y -250.0 m, SNR 25.0 dB" in line
+    assert "UE 250: θ 14.32 °, ρ 250.00 m, ± θ - °, ± ρ - m, x 250.00 m, y -250.00 m, SNR 25.00 dB" in line
 
 
 def test_json(endpoint: str) -> None:

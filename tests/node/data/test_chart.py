@@ -1,21 +1,61 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from chart_samples import some_chart
 from hypothesis import given
 from hypothesis import strategies as st
 
+from chachart.node.data import extras
 from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.errors import SetupError
 
 
 def test_columns_of_other_lengths_are_refused() -> None:
     with pytest.raises(ValueError, match=r"rho must have shape \(5,\), not \(4,\)"):
-        replace(some_chart(5), rho=np.zeros(4))
-    with pytest.raises(ValueError, match=r"position must be \(5, 3\)"):
-        replace(some_chart(5), position=np.zeros((5, 2), np.float32))
+        some_chart(5).with_columns(rho=np.zeros(4))
+    with pytest.raises(ValueError, match=r"position must have shape \(5, 3\)"):
+        some_chart(5).with_columns(position=np.zeros((5, 2), np.float32))
+
+
+def test_columns_are_those_of_the_schema() -> None:
+    chart = some_chart(5)
+    with pytest.raises(ValueError, match="no column 'heigth', only ue, time_ns, theta"):
+        chart.with_columns(heigth=np.zeros(5))
+    with pytest.raises(ValueError, match="needs theta, y"):
+        ChartUpdate(
+            "lab",
+            chart.method,
+            chart.ue,
+            chart.time_ns,
+            rho=chart.rho,
+            x=chart.x,
+            snr=chart.snr,
+            snapshots=chart.snr,
+        )
+    with pytest.raises(AttributeError, match="no 'heigth'"):
+        print(chart.heigth)  # type: ignore[attr-defined]
+
+
+def test_it_says_what_it_is_in_a_line() -> None:
+    expected = "<ChartUpdate of 'lab' by bartlett/isq: 5 UEs, theta_std, rho_std, position>"
+    assert repr(some_chart(5)) == expected
+
+
+def test_to_pandas() -> None:
+    pytest.importorskip("pandas")
+    chart = some_chart(6)
+    frame = chart.to_pandas()
+    assert list(frame)[:4] == ["ue", "time_ns", "theta", "rho"]
+    assert list(frame)[-3:] == ["position_x", "position_y", "position_z"]
+    np.testing.assert_array_equal(frame["rho"], chart.rho)
+    assert frame.attrs == {"array": "lab", "theta": "bartlett", "rho": "isq"}
+
+
+def test_without_pandas_the_way_to_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(extras, "find_spec", lambda _: None)
+    with pytest.raises(SetupError, match=r'pip install "chachart\[pandas\]"'):
+        some_chart(3).to_pandas()
 
 
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(1, 6), st.booleans()), min_size=1, max_size=5))

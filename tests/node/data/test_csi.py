@@ -17,6 +17,14 @@ def test_sizes() -> None:
     assert (len(block), block.antennas, block.subcarriers) == (5, 4, 3)
 
 
+def test_it_says_what_it_is_in_a_line() -> None:
+    block = some_block(5, antennas=4, subcarriers=3)
+    ues = len(np.unique(block.ue))
+    known = "" if block.position is None else ", position"
+    expected = f"<CsiBlock of 'lab' from {block.seq}: 5 frames of {ues} UEs, 4 x 3{known}>"
+    assert repr(block) == expected
+
+
 @pytest.mark.parametrize(
     ("changes", "says"),
     [

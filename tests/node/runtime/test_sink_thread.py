@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from chachart.node.data.chart import ChartUpdate, Method
+from chachart.node.data.columns import COLUMNS
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
@@ -89,10 +90,10 @@ def started(notebook: Notebook) -> Iterator[Callable[..., SinkThread]]:
 
 def chart(*ue: int, x: float = 0.0) -> ChartUpdate:
     k = len(ue)
-    columns = np.full((8, k), x)
-    return ChartUpdate(
-        "lab", Method("bartlett", "bartlett"), np.array(ue, np.uint64), np.zeros(k, int), *columns
-    )
+    names = [c.name for c in COLUMNS.values() if c.dtype == "float64"]
+    columns = {name: np.full(k, x) for name in names}
+    method = Method("bartlett", "bartlett")
+    return ChartUpdate("lab", method, np.array(ue, np.uint64), np.zeros(k, int), **columns)
 
 
 def block(frames: int) -> CsiBlock:

@@ -4,20 +4,21 @@ import numpy as np
 import pytest
 
 from chachart.node.data.chart import ChartUpdate, Method
+from chachart.node.data.columns import COLUMNS
 from chachart.node.runtime.messages import pack_update, unpack_update
 from chachart.node.runtime.table import ChartTable
 
 
 def update(ue: list[int], time_ns: int = 0, x: float = 0.0, known: bool = False) -> ChartUpdate:
     k = len(ue)
-    floats = np.full((10, k), x)
+    names = [c.name for c in COLUMNS.values() if c.dtype == "float64"]
     position = np.full((k, 3), x, np.float32) if known else None
     return ChartUpdate(
         "lab",
         Method("bartlett", "music"),
         np.array(ue, np.uint64),
         np.full(k, time_ns),
-        *floats[:8],
+        **{name: np.full(k, x) for name in names},
         position=position,
     )
 

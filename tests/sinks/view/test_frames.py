@@ -4,18 +4,17 @@ import json
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from chachart.node.data.chart import ChartUpdate, Method
 from chachart.node.data.geometry import ArrayGeometry
-from chachart.sinks.view.frames import encode_frame
+from chachart.sinks.view.frames import describe, encode_frame
 
 ARRAY = ArrayGeometry("lab", 8, 4, 2e9, 312_500.0, 0.075, position_m=(1.0, 2.0, 10.0))
 FLOATS = ("theta", "rho", "theta_std", "rho_std", "x", "y", "snr", "snapshots")
-KINDS = {"u8": "<u8", "f8": "<f8", "f4": "<f4"}
+KINDS = {"u8": "<u8", "i8": "<i8", "f4": "<f4"}
 
 
 def update(rows: int, *, known: bool = True) -> ChartUpdate:
@@ -53,7 +52,7 @@ def test_a_frame_holds_the_update(rows: int, full: bool, known: bool) -> None:
     assert header["full"] is full
     assert header["method"] == {"theta": "music", "rho": "bartlett"}
     np.testing.assert_array_equal(columns["ue"], sent.ue)
-    np.testing.assert_allclose(columns["time"], sent.time_ns / 1e6, rtol=0, atol=0.001)
+    np.testing.assert_array_equal(columns["time_ns"], sent.time_ns)
     for name in FLOATS:
         np.testing.assert_array_equal(columns[name], getattr(sent, name).astype(np.float32))
 
@@ -66,7 +65,13 @@ def test_truth_is_in_chart_coordinates() -> None:
     np.testing.assert_allclose(columns["true_y"], sent.position[:, 1] - ARRAY.centre_m[1], rtol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["true_x", "true_y"])
-def test_an_unknown_truth_is_nan(name: str) -> None:
+def test_an_unknown_truth_is_not_there() -> None:
     _, columns = read(encode_frame(update(3, known=False), ARRAY, full=True))
-    assert np.isnan(columns[name]).all()
+    assert not {"true_x", "true_y", "position_x"} & set(columns)
+
+
+def test_the_page_is_told_of_every_column_that_may_come() -> None:
+    _, columns = read(encode_frame(update(3), ARRAY, full=True))
+    told = {column["name"]: column["file_name"] for column in describe()}
+    assert set(told) == set(columns)
+    assert (told["theta"], told["time_ns"], told["true_x"]) == ("theta_rad", "time_ns", "true_x_m")
