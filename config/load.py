@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -16,10 +16,12 @@ from pydantic_core import ErrorDetails
 from chachart.config.describe import allowed, literal_values, nested_model, toml
 from chachart.config.overrides import apply
 from chachart.config.registry import Kind, available, settings_class, suggestion
-from chachart.config.settings import ArraySettings, EstimatorSettings, QualitySettings, WorkersSettings
+from chachart.config.settings import ArraySettings, QualitySettings, WorkersSettings
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.settings import Settings
+from chachart.node.estimation.fit import misfits, unreachable
+from chachart.node.estimation.options import Options
 from chachart.sinks.base import SinkSettings
 from chachart.sources.base import SourceSettings
 
@@ -27,7 +29,6 @@ LAB = Path(__file__).with_name("lab.toml")
 """The configuration of a node that is given none."""
 
 SECTIONS = ("array", "source", "estimator", "workers", "quality", "sinks")
-SPECTRAL = ("bartlett", "mvdr", "minnorm", "music", "joint")
 
 AnySettings = TypeVar("AnySettings", bound=Settings)
 Location = tuple[str | int, ...]
@@ -61,7 +62,7 @@ class NodeSettings:
 
     array: ArraySettings | None
     source: SourceSettings
-    estimator: EstimatorSettings
+    estimator: Options
     workers: WorkersSettings
     quality: QualitySettings
     sinks: tuple[SinkSettings, ...]
@@ -126,13 +127,13 @@ class _Loader:
                 self._wrong((section,), f"there is no such section, only {', '.join(SECTIONS)}{hint}")
         array = self._section(ArraySettings, "array") if "array" in self.document else None
         source = self._component("source", ("source",), self._table("source"))
-        estimator = self._section(EstimatorSettings, "estimator")
+        estimator = self._section(Options, "estimator")
         workers = self._section(WorkersSettings, "workers")
         quality = self._section(QualitySettings, "quality")
         sinks = [self._component("sink", ("sinks", n), table) for n, table in enumerate(self._sinks())]
         geometry = self._geometry(array) if array else None
-        if estimator and (array is None or geometry):
-            for key, problem in _disagreements(estimator, geometry):
+        if estimator and geometry:
+            for key, problem in (*misfits(estimator, geometry), *unreachable(estimator, geometry)):
                 self._wrong(("estimator", key), problem, getattr(estimator, key))
         if self.mistakes or source is None or estimator is None or workers is None or quality is None:
             raise ConfigError(self.mistakes)
@@ -206,7 +207,8 @@ class _Loader:
                 location, field, owner = _find(model, detail["loc"])
                 if location not in seen:
                     seen.add(location)
-                    value = _value(table, location) if location else None
+                    blamed = location and detail["type"] == "value_error"  # may be at its default
+                    value = detail["input"] if blamed else _value(table, location) if location else None
                     self._wrong((*where, *location), _problem(detail, value, field, owner), value)
             return None
 
@@ -236,28 +238,6 @@ def _problem(detail: ErrorDetails, value: Any, field: FieldInfo | None, owner: t
     if value is None:
         return f"is missing; it must be {allowed(field)}"
     return f"must be {allowed(field)}{suggestion(value, list(map(str, literal_values(field.annotation))))}"
-
-
-def _disagreements(estimator: EstimatorSettings, array: ArrayGeometry | None) -> Iterator[tuple[str, str]]:
-    """Keys of `[estimator]` that do not go with each other or with the array, and why."""
-    if (estimator.theta == "joint") != (estimator.rho == "joint"):
-        key, other = ("rho", "theta") if estimator.theta == "joint" else ("theta", "rho")
-        yield key, f'must be "joint" as {other} is: the joint method estimates both at once'
-    if isinstance(estimator.signal_order, int) and estimator.signal_order < 1:
-        yield "signal_order", 'must be a whole number >= 1, "threshold" or "mdl"'
-    if estimator.rho_step_m is not None and estimator.rho_step_m > estimator.rho_max_m:
-        yield "rho_step_m", f"must be at most rho_max_m = {estimator.rho_max_m:g}"
-    if array is None:
-        return
-    if estimator.rho in SPECTRAL and array.subcarriers < 2:
-        yield "rho", 'must be "isq" or "lr": with 1 subcarrier there is no delay to see'
-    if "rho_max_m" in estimator.model_fields_set and estimator.rho_max_m > array.unambiguous_rho_m * 1.001:
-        limit = f"c / array.subcarrier_spacing_hz = {array.unambiguous_rho_m:.1f}"
-        yield "rho_max_m", f"must be at most {limit}, where ranges start to repeat"
-    sizes = [array.antennas] if estimator.theta in ("music", "minnorm") else []
-    sizes += [array.subcarriers] if estimator.rho in ("music", "minnorm") else []
-    if isinstance(estimator.signal_order, int) and sizes and estimator.signal_order >= min(sizes):
-        yield "signal_order", f"must be below {min(sizes)}, the number of antennas or subcarriers"
 
 
 def _brief(value: Any) -> str:

@@ -13,7 +13,8 @@ from pydantic.fields import FieldInfo
 
 from chachart.config.describe import allowed, alternatives, literal_values, nested_model, toml
 from chachart.config.registry import Kind, available, settings_class
-from chachart.config.settings import ArraySettings, EstimatorSettings, QualitySettings, WorkersSettings
+from chachart.config.settings import ArraySettings, QualitySettings, WorkersSettings
+from chachart.node.estimation.options import Options
 
 TABLE_BEGINS = "<!-- settings: made by `chachart config --table` -->"
 TABLE_ENDS = "<!-- end of settings -->"
@@ -31,7 +32,7 @@ def configuration() -> str:
         _section("[array]", ArraySettings),
         _others("source"),
         component("source", "simulator"),
-        _section("[estimator]", EstimatorSettings),
+        _section("[estimator]", Options),
         _section("[workers]", WorkersSettings),
         _section("[quality]", QualitySettings),
         _others("sink"),
@@ -57,7 +58,7 @@ def table() -> str:
     parts = [TABLE_BEGINS]
     for header, model in (
         ("[array]", ArraySettings),
-        ("[estimator]", EstimatorSettings),
+        ("[estimator]", Options),
         ("[workers]", WorkersSettings),
         ("[quality]", QualitySettings),
     ):

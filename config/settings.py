@@ -10,7 +10,6 @@ from pydantic import Field, field_validator
 
 from chachart.node.data.calibration import Calibration
 from chachart.node.data.geometry import SPEED_OF_LIGHT, ArrayGeometry, Vector
-from chachart.node.data.methods import RhoMethod, ThetaMethod
 from chachart.node.data.settings import Settings
 from chachart.node.files.calibration import load_calibration
 
@@ -102,49 +101,6 @@ class ArraySettings(Settings):
         if self.antenna_order is not None:
             raise ValueError("antenna_order cannot be set beside calibration, which has one of its own")
         return load_calibration(self.calibration)
-
-
-class EstimatorSettings(Settings):
-    """`[estimator]`: how theta and rho are estimated. The fields are ChartEstimator's arguments."""
-
-    theta: ThetaMethod = "bartlett"
-    """Angle method. `joint` goes with rho = "joint" only."""
-    rho: RhoMethod = "bartlett"
-    """Distance method: a spectral one across subcarriers, an amplitude one (isq, lr), or joint."""
-    averaging: Literal["mean", "exponential"] = "exponential"
-    """`mean` weighs all frames alike (UEs that stand still); `exponential` forgets (UEs that move)."""
-    memory_frames: float = Field(32.0, ge=1)
-    """Effective number of frames that `exponential` averaging remembers."""
-    signal_order: int | Literal["threshold", "mdl"] = 1
-    """Signal subspace of MUSIC and Min-Norm: a fixed order, an eigenvalue threshold, or MDL."""
-    order_threshold: float = Field(0.1, gt=0, lt=1)
-    """With signal_order = "threshold": eigenvalues above this fraction of the largest are signal."""
-    forward_backward: bool = False
-    """Average each covariance with its conjugate mirror image."""
-    loading: float = Field(0.05, ge=0)
-    """Diagonal loading of MVDR, as a fraction of the mean eigenvalue."""
-    theta_step_deg: float | None = Field(None, ge=0.01, le=10)
-    """Angle grid before refinement; where not set, as coarse as the refinement allows."""
-    rho_step_m: float | None = Field(None, ge=0.01)
-    """Range grid before refinement; where not set, as coarse as the refinement allows."""
-    rho_max_m: float = Field(1000.0, gt=0)
-    """Farthest range that is searched; never beyond the unambiguous c / subcarrier_spacing_hz."""
-    newton_steps: int = Field(4, ge=0, le=20)
-    """Newton steps from the grid's peak to the true one; 0 keeps the grid's resolution."""
-    amplitude: Literal["debiased", "coherent", "noisy"] = "debiased"
-    """Amplitude behind isq and lr: noise-debiased power, coherent mean (as published), mean of |h|."""
-    lr_train_ues: int = Field(256, ge=2)
-    """LR is fitted to the first so many UEs whose position is known."""
-    lr_log_range: bool = False
-    """LR fits log(rho) instead of rho."""
-    isq_reference: tuple[float, float] | None = None
-    """(distance in m, sum of amplitudes there) puts ISQ to scale; else known positions do, else nothing."""
-    phase: Literal["auto", "steady", "random"] = "auto"
-    """Of a UE's channel from frame to frame, for `joint`: `steady` averages frames, `random` their powers."""
-    forget_after_s: float | None = Field(None, gt=0)
-    """UEs unseen for so long leave the chart; not set: never."""
-    max_ues: int = Field(100_000, ge=1)
-    """At most so many UEs are kept; the one unseen for longest makes room."""
 
 
 class WorkersSettings(Settings):

@@ -4,5 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-ThetaMethod = Literal["bartlett", "mvdr", "minnorm", "music", "joint"]
-RhoMethod = Literal["bartlett", "mvdr", "minnorm", "music", "joint", "isq", "lr"]
+SpectralMethod = Literal["bartlett", "mvdr", "minnorm", "music"]
+AmplitudeMethod = Literal["isq", "lr"]
+ThetaMethod = Literal[SpectralMethod, "joint"]
+RhoMethod = Literal[SpectralMethod, "joint", AmplitudeMethod]

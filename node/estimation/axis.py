@@ -19,9 +19,6 @@ from chachart.node.estimation.subspace import SubspaceTracker, dominant
 Complex = NDArray[np.complexfloating[Any, Any]]
 Floats = NDArray[np.float64]
 
-MATRIX_LIMIT = 512
-"""Methods that need the covariance itself keep N x N numbers a UE; beyond this size they are refused."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisEstimate:
@@ -46,24 +43,16 @@ class SpectralAxis(SlotState):
 
     Parameters
     ----------
-    name
-        "theta" or "rho", for error messages.
     method
         One of `options.SPECTRAL`.
     manifold, step
         Where to look, and how finely before refinement.
     snapshots
         M, snapshots a frame.
-
-    Raises
-    ------
-    ValueError
-        If the manifold is too small, or too large for the method's state.
     """
 
     def __init__(
         self,
-        name: str,
         method: str,
         manifold: UniformManifold,
         step: float | None,
@@ -71,18 +60,6 @@ class SpectralAxis(SlotState):
         options: Options,
     ) -> None:
         n = manifold.size
-        if n < 2:
-            raise ValueError(f"{name} = {method!r} needs at least 2 elements along its axis, not {n}")
-        if method != "bartlett" and n > MATRIX_LIMIT:
-            raise ValueError(
-                f"{name} = {method!r} keeps {n} x {n} numbers a UE; above {MATRIX_LIMIT} only bartlett"
-            )
-        if (
-            isinstance(options.signal_order, int)
-            and method in ("music", "minnorm")
-            and options.signal_order >= n
-        ):
-            raise ValueError(f"signal_order must be below {n}, the elements of the {name} axis")
         self.method, self.manifold, self.snapshots, self.options = method, manifold, snapshots, options
         self.search = Search(manifold, step, options.newton_steps)
         shape = (n,) if method == "bartlett" else (n, n)

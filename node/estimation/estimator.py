@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, Unpack, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,10 @@ from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.covariance import Bank, Grouping
+from chachart.node.estimation.fit import misfits
 from chachart.node.estimation.joint import JointLocator
 from chachart.node.estimation.locator import Located, Locator
-from chachart.node.estimation.options import JOINT, Options
+from chachart.node.estimation.options import JOINT, Keywords, Options
 from chachart.node.estimation.separate import SeparateLocator
 from chachart.node.estimation.slots import SlotTable
 
@@ -44,7 +45,7 @@ class ChartEstimator:
     Raises
     ------
     ValueError
-        If an option's value makes no sense; the message begins with the option's name.
+        If an option's value makes no sense or does not fit the array; the message begins with its name.
     TypeError
         If an option is unknown.
 
@@ -60,14 +61,14 @@ class ChartEstimator:
     50.0
     """
 
-    def __init__(self, array: ArrayGeometry, **options: Any) -> None:
+    def __init__(self, array: ArrayGeometry, **options: Unpack[Keywords]) -> None:
         self.array = array
-        self.options = Options(**options)
+        self.options = Options.of(**options)
         self.rejected = Counters()
         self._table = SlotTable(self.options.max_ues)
         self._position = Bank((3,), np.float32, 1.0)
         self._latest = Bank((4,), np.float64, 1.0)
-        self._locator = self._make_locator()
+        self._locator = self._make_locator(self.options)
         self._correct = None if array.calibration is None else array.calibration.corrector()
 
     @property
@@ -88,13 +89,10 @@ class ChartEstimator:
         ValueError
             If a method is unknown or does not fit the array; the estimator then goes on as before.
         """
-        before = self.options
-        self.options = dataclasses.replace(before, theta=theta, rho=rho)
-        try:
-            self._locator = self._make_locator()
-        except ValueError:
-            self.options = before
-            raise
+        changed = cast(Keywords, {**self.options.keywords(), "theta": theta, "rho": rho})
+        options = Options.of(**changed)
+        self._locator = self._make_locator(options)
+        self.options = options
 
     def update(self, block: CsiBlock) -> ChartUpdate:
         """Take a block; returns one row per UE of it, in order of first appearance.
@@ -152,9 +150,11 @@ class ChartEstimator:
         names = ("theta", "rho", "theta_std", "rho_std")
         return found | dict(zip(names, self._latest.rows[slot].tolist(), strict=True))
 
-    def _make_locator(self) -> Locator:
-        make = JointLocator if self.options.theta == JOINT else SeparateLocator
-        locator: Locator = make(self.array, self.options)
+    def _make_locator(self, options: Options) -> Locator:
+        for name, problem in misfits(options, self.array):
+            raise ValueError(f"{name} {problem}")
+        make = JointLocator if options.theta == JOINT else SeparateLocator
+        locator: Locator = make(self.array, options)
         locator.resize(self._table.capacity)
         return locator
 

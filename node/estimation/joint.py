@@ -17,11 +17,6 @@ from chachart.node.estimation.state import Slots, SlotState
 
 Floats = NDArray[np.float64]
 
-ELEMENTS_LIMIT = 1 << 16
-"""N_R N_S up to which the method is offered: its spectra take 16 bytes an element and UE."""
-LEAST_SIZE = 4
-"""Antennas, and subcarriers, below which paths cannot be told apart on their axis."""
-
 
 class JointLocator(Locator):
     """The joint angle-delay method: `DirectPath` on averaged spectra.
@@ -34,27 +29,11 @@ class JointLocator(Locator):
     ----------
     array, options
         As of `ChartEstimator`.
-
-    Raises
-    ------
-    ValueError
-        If the array is too small or too large; the message begins with the argument's name.
     """
 
     SHARED = ("_random",)
 
     def __init__(self, array: ArrayGeometry, options: Options) -> None:
-        for name, size in (("theta", array.antennas), ("rho", array.subcarriers)):
-            if size < LEAST_SIZE:
-                raise ValueError(
-                    f"{name} = 'joint' needs at least {LEAST_SIZE} elements on its axis, not {size}"
-                )
-        elements = array.antennas * array.subcarriers
-        if elements > ELEMENTS_LIMIT:
-            raise ValueError(
-                f"theta = 'joint' keeps 16 bytes an antenna, subcarrier and UE: "
-                f"for up to {ELEMENTS_LIMIT} of them, not {elements}"
-            )
         self._direct_path = DirectPath(array, options.rho_max_m)
         self._decay = options.decay
         self._weights = Weights(options.decay)

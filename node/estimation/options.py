@@ -1,102 +1,91 @@
-"""What an estimator can be told, and which values make sense."""
+"""What an estimator can be told: `[estimator]`, and the keywords of `ChartEstimator`."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Annotated, Any, Final, Literal, TypedDict, Unpack, cast
 
-SPECTRAL: Final = ("bartlett", "mvdr", "minnorm", "music")
-AMPLITUDE: Final = ("isq", "lr")
+from pydantic import Field, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from chachart.node.data.methods import AmplitudeMethod, RhoMethod, SpectralMethod, ThetaMethod
+from chachart.node.data.settings import Settings
+
+SPECTRAL: Final[tuple[SpectralMethod, ...]] = ("bartlett", "mvdr", "minnorm", "music")
+AMPLITUDE: Final[tuple[AmplitudeMethod, ...]] = ("isq", "lr")
 JOINT: Final = "joint"
 
+Averaging = Literal["mean", "exponential"]
+SignalOrder = Annotated[int, Field(ge=1)] | Literal["threshold", "mdl"]
+Amplitude = Literal["debiased", "coherent", "noisy"]
+Phase = Literal["auto", "steady", "random"]
+Positive = Annotated[float, Field(gt=0)]
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Options:
-    """How theta and rho are estimated; the keyword arguments of `ChartEstimator`.
 
-    Parameters
-    ----------
-    theta
-        "bartlett", "mvdr", "minnorm" or "music" on the angle manifold.
-    rho
-        One of these on the delay manifold, or "isq" or "lr" from the amplitude; theta = rho = "joint" looks
-        for the direct path on both manifolds at once.
-    averaging, memory_frames
-        "mean" weighs all frames of a UE alike; "exponential" forgets, so that `memory_frames` frames
-        effectively count.
-    signal_order, order_threshold
-        Signal subspace of MUSIC and Min-Norm: a fixed order, "threshold" (eigenvalues above this fraction of
-        the largest) or "mdl".
-    forward_backward
-        Average each covariance with its conjugate mirror image.
-    loading
-        Diagonal loading of MVDR, as a fraction of the mean eigenvalue.
-    theta_step_deg, rho_step_m
-        Grid before refinement; None is as coarse as the refinement allows.
-    rho_max_m
-        Farthest range that is searched, but never beyond the unambiguous one.
-    newton_steps
-        Steps from the grid's peak to the true one; 0 keeps the grid's resolution.
-    amplitude
-        Behind isq and lr: "debiased" power, "coherent" mean (as published) or "noisy" mean of |h|.
-    lr_train_ues, lr_log_range
-        LR is fitted to the first so many UEs whose position is known; to log(rho) instead of rho.
-    isq_reference
-        (distance in m, sum of amplitudes there) puts ISQ to scale; else known positions do, else nothing.
-    phase
-        Of a UE's channel from frame to frame, for the joint method: "steady", "random" or found out ("auto").
-    forget_after_s, max_ues
-        UEs unseen for so long are forgotten; at most so many are kept, the longest unseen makes room.
+class Options(Settings):
+    """`[estimator]`: how theta and rho are estimated. The fields are ChartEstimator's keywords."""
 
-    Raises
-    ------
-    ValueError
-        If a value is out of range; the message begins with the argument's name.
-    """
-
-    theta: str = "bartlett"
-    rho: str = "bartlett"
-    averaging: str = "exponential"
-    memory_frames: float = 32.0
-    signal_order: int | Literal["threshold", "mdl"] = 1
-    order_threshold: float = 0.1
+    theta: ThetaMethod = "bartlett"
+    """Angle method. `joint` goes with rho = "joint" only."""
+    rho: RhoMethod = "bartlett"
+    """Distance method: a spectral one across subcarriers, an amplitude one (isq, lr), or joint."""
+    averaging: Averaging = "exponential"
+    """`mean` weighs all frames alike (UEs that stand still); `exponential` forgets (UEs that move)."""
+    memory_frames: float = Field(32.0, ge=1)
+    """Effective number of frames that `exponential` averaging remembers."""
+    signal_order: SignalOrder = 1
+    """Signal subspace of MUSIC and Min-Norm: a fixed order, an eigenvalue threshold, or MDL."""
+    order_threshold: float = Field(0.1, gt=0, lt=1)
+    """With signal_order = "threshold": eigenvalues above this fraction of the largest are signal."""
     forward_backward: bool = False
-    loading: float = 0.05
-    theta_step_deg: float | None = None
-    rho_step_m: float | None = None
-    rho_max_m: float = 1000.0
-    newton_steps: int = 4
-    amplitude: str = "debiased"
-    lr_train_ues: int = 256
+    """Average each covariance with its conjugate mirror image."""
+    loading: float = Field(0.05, ge=0)
+    """Diagonal loading of MVDR, as a fraction of the mean eigenvalue."""
+    theta_step_deg: float | None = Field(None, ge=0.01, le=10)
+    """Angle grid before refinement; where not set, as coarse as the refinement allows."""
+    rho_step_m: float | None = Field(None, ge=0.01)
+    """Range grid before refinement; where not set, as coarse as the refinement allows."""
+    rho_max_m: float = Field(1000.0, gt=0)
+    """Farthest range that is searched; never beyond the unambiguous c / subcarrier_spacing_hz."""
+    newton_steps: int = Field(4, ge=0, le=20)
+    """Newton steps from the grid's peak to the true one; 0 keeps the grid's resolution."""
+    amplitude: Amplitude = "debiased"
+    """Amplitude behind isq and lr: noise-debiased power, coherent mean (as published), mean of |h|."""
+    lr_train_ues: int = Field(256, ge=2)
+    """LR is fitted to the first so many UEs whose position is known."""
     lr_log_range: bool = False
-    isq_reference: tuple[float, float] | None = None
-    phase: str = "auto"
-    forget_after_s: float | None = None
-    max_ues: int = 100_000
+    """LR fits log(rho) instead of rho."""
+    isq_reference: tuple[Positive, Positive] | None = None
+    """(distance in m, sum of amplitudes there) puts ISQ to scale; else known positions do, else nothing."""
+    phase: Phase = "auto"
+    """Of a UE's channel from frame to frame, for `joint`: `steady` averages frames, `random` their powers."""
+    forget_after_s: float | None = Field(None, gt=0)
+    """UEs unseen for so long leave the chart; not set: never."""
+    max_ues: int = Field(100_000, ge=1)
+    """At most so many UEs are kept; the one unseen for longest makes room."""
 
-    def __post_init__(self) -> None:
-        self._one_of("theta", (*SPECTRAL, JOINT))
-        self._one_of("rho", (*SPECTRAL, JOINT, *AMPLITUDE))
-        if (self.theta == JOINT) != (self.rho == JOINT):
-            name, other = ("rho", "theta") if self.theta == JOINT else ("theta", "rho")
-            raise ValueError(f"{name} must be 'joint' as {other} is, not {getattr(self, name)!r}")
-        self._one_of("averaging", ("mean", "exponential"))
-        self._one_of("phase", ("auto", "steady", "random"))
-        self._one_of("amplitude", ("debiased", "coherent", "noisy"))
-        order = self.signal_order
-        if order not in ("threshold", "mdl") and not (isinstance(order, int) and order >= 1):
-            raise ValueError(f"signal_order must be at least 1, 'threshold' or 'mdl', not {order!r}")
-        self._within("order_threshold", 0, 1, strict=True)
-        self._within("loading", 0)
-        self._within("newton_steps", 0, 20)
-        self._within("lr_train_ues", 2)
-        self._within("max_ues", 1)
-        self._within("memory_frames", 1)
-        for name in ("theta_step_deg", "rho_step_m", "rho_max_m", "forget_after_s"):
-            self._within(name, 0, strict=True)
-        if self.isq_reference is not None and not all(math.isfinite(v) and v > 0 for v in self.isq_reference):
-            raise ValueError(f"isq_reference must be two positive numbers, not {self.isq_reference}")
+    @classmethod
+    def of(cls, **keywords: Unpack[Keywords]) -> Options:
+        """The options that keywords say, for code: the first mistake alone, in words of Python.
+
+        Raises
+        ------
+        ValueError
+            If an option's value makes no sense; the message begins with the option's name.
+        TypeError
+            If there is no such option.
+        """
+        try:
+            return cls(**cast(dict[str, Any], keywords))
+        except ValidationError as error:
+            first = error.errors()[0]
+        name = str(first["loc"][0])
+        if first["type"] == "extra_forbidden":
+            raise TypeError(f"{name} is not among the options: {', '.join(cls.model_fields)}")
+        raise ValueError(f"{name} {first['msg'].replace('Input should', 'must')}, not {first['input']!r}")
+
+    def keywords(self) -> Keywords:
+        """What was set, as keywords: those that were left to their defaults are left so."""
+        return cast(Keywords, self.model_dump(exclude_unset=True))
 
     @property
     def decay(self) -> float:
@@ -109,17 +98,40 @@ class Options:
             return 1.0
         return max((self.memory_frames - 1) / (self.memory_frames + 1), 0.0)
 
-    def _one_of(self, name: str, allowed: tuple[str, ...]) -> None:
-        value = getattr(self, name)
-        if value not in allowed:
-            raise ValueError(f"{name} must be one of {', '.join(allowed)}, not {value!r}")
+    @model_validator(mode="after")
+    def _go_together(self) -> Options:
+        if (self.theta == JOINT) != (self.rho == JOINT):
+            name, other = ("rho", "theta") if self.theta == JOINT else ("theta", "rho")
+            self._refuse(name, f'must be "joint" as {other} is: the joint method estimates both at once')
+        if self.rho_step_m is not None and self.rho_step_m > self.rho_max_m:
+            self._refuse("rho_step_m", f"must be at most rho_max_m = {self.rho_max_m:g}")
+        return self
 
-    def _within(self, name: str, low: float, high: float = math.inf, *, strict: bool = False) -> None:
-        value = getattr(self, name)
-        if value is None:
-            return
-        if not math.isfinite(value) or not (low < value < high if strict else low <= value <= high):
-            bounds = f"above {low}" if strict else f"at least {low}"
-            if high < math.inf:
-                bounds += f" and {'below' if strict else 'at most'} {high}"
-            raise ValueError(f"{name} must be {bounds}, not {value}")
+    def _refuse(self, name: str, problem: str) -> None:
+        kind = PydanticCustomError("value_error", "{problem}", {"problem": problem})
+        at: InitErrorDetails = {"type": kind, "loc": (name,), "input": getattr(self, name)}
+        raise ValidationError.from_exception_data("Options", [at])
+
+
+class Keywords(TypedDict, total=False):
+    """The fields of `Options`, for type checkers."""
+
+    theta: ThetaMethod
+    rho: RhoMethod
+    averaging: Averaging
+    memory_frames: float
+    signal_order: int | Literal["threshold", "mdl"]
+    order_threshold: float
+    forward_backward: bool
+    loading: float
+    theta_step_deg: float | None
+    rho_step_m: float | None
+    rho_max_m: float
+    newton_steps: int
+    amplitude: Amplitude
+    lr_train_ues: int
+    lr_log_range: bool
+    isq_reference: tuple[float, float] | None
+    phase: Phase
+    forget_after_s: float | None
+    max_ues: int

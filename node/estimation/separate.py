@@ -20,19 +20,11 @@ Floats = NDArray[np.float64]
 
 
 class SeparateLocator(Locator):
-    """Angle from the covariance over antennas, range from that over subcarriers or from the amplitude.
-
-    Raises
-    ------
-    ValueError
-        If a method does not fit the array; the message begins with the argument's name.
-    """
+    """Angle from the covariance over antennas, range from that over subcarriers or from the amplitude."""
 
     def __init__(self, array: ArrayGeometry, options: Options) -> None:
         step = None if options.theta_step_deg is None else np.radians(options.theta_step_deg)
-        self._theta = SpectralAxis(
-            "theta", options.theta, AngleManifold.of(array), step, array.subcarriers, options
-        )
+        self._theta = SpectralAxis(options.theta, AngleManifold.of(array), step, array.subcarriers, options)
         self._array, self._weights = array, Weights(options.decay)
         self._rho: SpectralAxis | None = None
         super().__init__(weights=self._weights, theta=self._theta)
@@ -48,9 +40,7 @@ class SeparateLocator(Locator):
             self.children |= {"amplitude": self._amplitude, "ranging": self._ranging}
         else:
             manifold = DelayManifold.of(array, options.rho_max_m)
-            self._rho = SpectralAxis(
-                "rho", options.rho, manifold, options.rho_step_m, array.antennas, options
-            )
+            self._rho = SpectralAxis(options.rho, manifold, options.rho_step_m, array.antennas, options)
             self.children["rho"] = self._rho
 
     def features(self, csi: NDArray[np.complex64]) -> list[NDArray[Any]]:

@@ -6,8 +6,8 @@ import time
 from collections.abc import Iterable
 from typing import Any
 
-from chachart.config.settings import EstimatorSettings
 from chachart.node.data.chart import ChartUpdate
+from chachart.node.estimation.options import Options
 from chachart.node.runtime.latency import Latency
 from chachart.node.runtime.processor import FrameClock
 from chachart.node.runtime.sink_thread import SinkThread
@@ -29,7 +29,7 @@ class Charts:
         Over the whole run.
     """
 
-    def __init__(self, estimator: EstimatorSettings) -> None:
+    def __init__(self, estimator: Options) -> None:
         self.table = ChartTable(estimator.max_ues)
         self.sinks: list[SinkThread] = []
         self.latency = Latency()

@@ -9,10 +9,11 @@ from typing import Any
 
 from chachart.config.load import NodeSettings
 from chachart.config.registry import sink_class, source_class
-from chachart.config.settings import ArraySettings, EstimatorSettings, QualitySettings, WorkersSettings
+from chachart.config.settings import ArraySettings, QualitySettings, WorkersSettings
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
+from chachart.node.estimation.options import Options
 from chachart.sinks.base import Sink, SinkSettings
 from chachart.sources.base import Source, SourceSettings
 
@@ -34,7 +35,7 @@ class Plan:
     array: ArrayGeometry
     source: type[Source]
     source_settings: SourceSettings
-    estimator: EstimatorSettings
+    estimator: Options
     workers: WorkersSettings
     quality: QualitySettings
     sinks: tuple[tuple[type[Sink], SinkSettings], ...]
@@ -93,7 +94,7 @@ class Plan:
         count, whole = self.workers.count, self.estimator
         share = whole.max_ues / count
         spread = 0.0 if count == 1 else 4 * math.sqrt(share)
-        values = whole.model_dump(mode="json")
+        values = whole.model_dump(mode="json", exclude_unset=True)
         values["max_ues"] = min(whole.max_ues, math.ceil(share + spread))
         values["lr_train_ues"] = max(2, math.ceil(whole.lr_train_ues / count))
         return values
@@ -152,10 +153,10 @@ def _problems_apart_from_array(settings: NodeSettings) -> Iterator[str]:
         yield from sink_class(sink.type).problems(sink)
 
 
-def estimator_problems(array: ArrayGeometry, estimator: EstimatorSettings) -> list[str]:
+def estimator_problems(array: ArrayGeometry, estimator: Options) -> list[str]:
     """Why no estimator can be made from these settings for this array; nothing if one can."""
     try:
-        ChartEstimator(array, **{**estimator.model_dump(), "max_ues": 1})
+        ChartEstimator(array, **(estimator.keywords() | {"max_ues": 1}))
     except ValueError as error:
         return [f"[estimator]: {error}"]
     return []

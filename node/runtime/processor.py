@@ -66,7 +66,7 @@ class BlockProcessor:
     Parameters
     ----------
     array, estimator
-        The array, and ChartEstimator's other arguments (the fields of EstimatorSettings).
+        The array, and ChartEstimator's other arguments (the fields of Options).
     clock
         What tells when UEs have been unseen for too long.
 

@@ -63,7 +63,7 @@ def test_every_section(toml_file: Write) -> None:
         ("[array]\naxis = [0, 0, 0]", "array.axis = [0, 0, 0]: must not be the zero vector"),
         ('[array]\nname = "two words"', 'array.name = "two words": must be text'),
         ('[array]\naxis = "y"\nbroadside = "y"', "array: broadside (0.0, 1.0, 0.0) must be orthogonal"),
-        ('[estimator]\nsignal_order = "mdll"', 'must be a whole number or one of "threshold", "mdl"'),
+        ('[estimator]\nsignal_order = "mdll"', 'must be a whole number >= 1 or one of "threshold", "mdl"'),
         ('[estimator]\nsignal_order = "mdll"', 'did you mean "mdl"?'),
         ("[estimator]\nsignal_order = 0", "estimator.signal_order = 0: must be a whole number >= 1"),
         ('[estimator]\nrho = "joint"', 'estimator.theta = "bartlett": must be "joint" as rho is'),

@@ -9,8 +9,9 @@ import pytest
 from chachart.config import sample
 from chachart.config.load import load
 from chachart.config.registry import available
-from chachart.config.settings import ArraySettings, EstimatorSettings, QualitySettings, WorkersSettings
+from chachart.config.settings import ArraySettings, QualitySettings, WorkersSettings
 from chachart.node.commands.main import main
+from chachart.node.estimation.options import Options
 
 Write = Callable[[str], Path]
 SHIPPED = sorted(Path(sample.__file__).parent.glob("*.toml"))
@@ -21,7 +22,7 @@ def test_a_whole_sample_is_the_defaults(toml_file: Write) -> None:
     assert settings.array == ArraySettings()
     assert settings.source.type == "simulator"
     assert settings.source == type(settings.source)()
-    assert settings.estimator == EstimatorSettings()
+    assert settings.estimator == Options()
     assert settings.workers == WorkersSettings()
     assert settings.quality == QualitySettings()
     assert [sink.type for sink in settings.sinks] == ["publisher"]

@@ -13,10 +13,11 @@ import odd_sources
 import pytest
 from node_runs import ARRAY, DEADLINE_S, adds_up, capture_blocks, children, until
 
-from chachart.config.settings import EstimatorSettings, QualitySettings, WorkersSettings
+from chachart.config.settings import QualitySettings, WorkersSettings
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import RequestError, SetupError
 from chachart.node.estimation.estimator import ChartEstimator
+from chachart.node.estimation.options import Options
 from chachart.node.files.recording import RecordingReader
 from chachart.node.runtime.node import Node
 from chachart.node.runtime.plan import Plan
@@ -44,7 +45,7 @@ def make_node(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
             Plan(
                 ARRAY,
                 *source,
-                EstimatorSettings(**{"averaging": "mean", **(estimator or {})}),
+                Options(**{"averaging": "mean", **(estimator or {})}),
                 WorkersSettings(**workers),
                 QualitySettings(every_s=0.2, k=5),
                 (),

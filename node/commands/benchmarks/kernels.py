@@ -21,13 +21,15 @@ from chachart.node.commands.benchmarks.timing import Timing
 from chachart.node.commands.shared.cli import progress
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.data.methods import RhoMethod, ThetaMethod
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.options import JOINT, SPECTRAL
 from chachart.sources.scenario.channel import channels
 from chachart.sources.scenario.layout import place
 
-PAIRS = (
-    *((method, method) for method in (*SPECTRAL, JOINT)),
+PAIRS: tuple[tuple[ThetaMethod, RhoMethod], ...] = (
+    *((method, method) for method in SPECTRAL),
+    (JOINT, JOINT),
     ("bartlett", "music"),
     ("bartlett", "isq"),
     ("bartlett", "lr"),

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.config.load import NodeSettings, settings_of
-from chachart.config.settings import EstimatorSettings
 from chachart.node.commands.shared.cli import progress
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.csi import CsiBlock
@@ -21,6 +20,7 @@ from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.methods import RhoMethod, ThetaMethod
 from chachart.node.estimation.estimator import ChartEstimator
+from chachart.node.estimation.options import Options
 from chachart.node.files.calibration import load_calibration
 from chachart.node.files.chart_log import ChartLogReader, is_chart_log
 from chachart.node.files.recording import RecordingReader
@@ -54,7 +54,7 @@ def settings_for(arguments: argparse.Namespace, recording: Path) -> NodeSettings
     SetupError
         If one does not fit.
     """
-    theta = arguments.theta or ("joint" if arguments.rho == "joint" else EstimatorSettings().theta)
+    theta = arguments.theta or ("joint" if arguments.rho == "joint" else Options().theta)
     document = {
         "source": {"type": "recording", "path": str(recording)},
         "estimator": {"theta": theta, "rho": arguments.rho or theta, "averaging": "mean"},
@@ -79,7 +79,7 @@ def estimator_for(
         except ValueError as error:
             raise SetupError(f"--calibration: {error}") from None
     try:
-        return ChartEstimator(array, **settings.estimator.model_dump())
+        return ChartEstimator(array, **settings.estimator.keywords())
     except ValueError as error:
         raise SetupError(f"[estimator] {error}") from None
 

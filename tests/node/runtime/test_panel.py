@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from chachart.config.settings import EstimatorSettings
+from chachart.node.estimation.options import Options
 from chachart.node.runtime.charts import Charts
 from chachart.node.runtime.logs import JsonFormatter
 from chachart.node.runtime.panel import counts, line, panel, summary_lines
@@ -106,7 +106,7 @@ def test_rates() -> None:
 
 
 def test_charts_without_frames_have_no_latency() -> None:
-    charts = Charts(EstimatorSettings())
+    charts = Charts(Options())
     charts.tick()
     assert charts.recent_latency_ms()["p50"] is None
 

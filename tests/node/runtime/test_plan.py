@@ -7,8 +7,9 @@ from csi_samples import small_array, some_block
 
 import chachart.config
 from chachart.config.load import load
-from chachart.config.settings import ArraySettings, EstimatorSettings
+from chachart.config.settings import ArraySettings
 from chachart.node.data.errors import SetupError
+from chachart.node.estimation.options import Options
 from chachart.node.files.recording import RecordingWriter
 from chachart.node.runtime.plan import Plan, check, estimator_problems, resolve_array
 from chachart.sources.recording import Recording, RecordingSettings
@@ -101,7 +102,7 @@ def test_a_block_never_has_more_ues_than_a_worker_may_hold(tmp_path: Path) -> No
 
 
 def test_estimators_that_cannot_be_made() -> None:
-    [problem] = estimator_problems(small_array(), EstimatorSettings(theta="music", signal_order=9))
+    [problem] = estimator_problems(small_array(), Options(theta="music", signal_order=9))
     assert "signal_order" in problem
 
 
