@@ -11,6 +11,7 @@ from abc import ABC
 from typing import Any, ClassVar, Protocol
 
 from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.settings import Settings
@@ -58,6 +59,10 @@ class Sink(ABC):
         The settings model of this sink, found by `type`.
     wants_csi
         True for sinks that take the CSI that came in rather than charts.
+    lost
+        Rows, frames or reports that it took and could not pass on, by reason.
+    trouble
+        Why it cannot do its work at the moment, in one line, or None.
     """
 
     Settings: ClassVar[type[SinkSettings]]
@@ -66,6 +71,8 @@ class Sink(ABC):
     def __init__(self, settings: Any, array: ArrayGeometry) -> None:
         self.settings = settings
         self.array = array
+        self.lost = Counters()
+        self.trouble: str | None = None
 
     @classmethod
     def problems(cls, settings: Any) -> list[str]:

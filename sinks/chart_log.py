@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, Literal
+from typing import Any, BinaryIO, ClassVar, Literal, cast
 
 import msgpack
 from mcap.writer import CompressionType, Writer
@@ -13,16 +16,17 @@ from pydantic import Field
 
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.columns import COLUMNS, Column
-from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.data.version import build
 from chachart.node.files.chart_log import HEAD
-from chachart.sinks.base import NodeAccess, Sink, SinkSettings
-from chachart.sinks.files import free_name, write_problems
+from chachart.node.files.whole_file import WholeFile
+from chachart.sinks.base import SinkSettings
+from chachart.sinks.file_sink import FileSink, FileSinkSettings
+from chachart.sinks.files import free_name
 from chachart.sinks.foxglove import SCHEMA, point_cloud
 from chachart.sinks.plain import plain
 
 CHUNK_BYTES = 256 * 1024
-FLUSH_S = 5.0
 ROWS_PER_MESSAGE = 256
 """Encoding a message holds up the interpreter, and the collector with it: a millisecond does no harm."""
 MOST_WAITING = 64
@@ -32,7 +36,7 @@ LARGEST_SHARE = 0.1
 _NUMBER = {"type": ["number", "null"]}
 
 
-class ChartLogSettings(SinkSettings):
+class ChartLogSettings(FileSinkSettings):
     """`type = "chart_log"`: charts, quality and status to MCAP files."""
 
     type: Literal["chart_log"] = "chart_log"
@@ -48,8 +52,107 @@ class ChartLogSettings(SinkSettings):
     """A file that has grown so long is closed and the next one begun."""
 
 
-class ChartLog(Sink):
-    """One channel a topic: `chart.<array>`, `quality.<array>`, `status.<array>`; zstd chunks of 256 KiB.
+class ChartLogFile:
+    """One file in progress: one channel a topic, zstd chunks of 256 KiB.
+
+    Raises
+    ------
+    OSError
+        If it exists or cannot be written.
+    """
+
+    def __init__(self, path: Path, array: ArrayGeometry, settings: ChartLogSettings) -> None:
+        self.kept = 0
+        self._added = 0
+        self._messages = 0
+        self._refused = False
+        schemas = _schemas()
+        self._encoding: dict[str, str] = dict.fromkeys(schemas, settings.encoding)
+        self._file = WholeFile(path)
+        try:
+            self._writer = Writer(
+                cast(BinaryIO, self._file), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
+            )
+            self._writer.start(profile="chachart", library=f"chachart {build()}")
+            self._writer.add_metadata(HEAD, {"array": json.dumps(array.as_dict())})
+            kinds = {kind: (f"{kind}.{array.name}", schema) for kind, schema in schemas.items()}
+            if settings.foxglove:
+                kinds["points"] = f"/chart/{array.name}/points", SCHEMA
+                self._encoding["points"] = "json"  # Foxglove reads nothing else
+            self._channels = {}
+            for kind, (topic, schema) in kinds.items():
+                text = json.dumps(schema).encode()
+                number = self._writer.register_schema(schema["title"], "jsonschema", text)
+                self._channels[kind] = self._writer.register_channel(topic, self._encoding[kind], number)
+            self._writer.flush()
+        except OSError:
+            self._file.close()
+            path.unlink(missing_ok=True)
+            raise
+
+    @property
+    def bytes_written(self) -> int:
+        """Size of the file; the chunk in progress does not count yet."""
+        return self._file.tell()
+
+    def add(self, kind: str, values: dict[str, Any], rows: int = 0) -> None:
+        """Write one message, which holds so many rows.
+
+        Raises
+        ------
+        OSError
+            If the disk takes no more.
+        """
+        data = json.dumps(values).encode() if self._encoding[kind] == "json" else msgpack.packb(values)
+        now = time.time_ns()
+        self._added += rows
+        self._messages += 1
+        with self._counted():
+            self._writer.add_message(self._channels[kind], now, data, now, self._messages)
+
+    def flush(self) -> None:
+        """End the chunk in progress, however short.
+
+        Raises
+        ------
+        OSError
+            If the disk takes no more.
+        """
+        with self._counted():
+            self._writer.flush()
+
+    def close(self) -> None:
+        """Write the chunk in progress and the index, and close the file. May be called twice.
+
+        A file that the disk did not let grow has no index, as one whose writer was killed.
+
+        Raises
+        ------
+        OSError
+            If the disk takes no more; the file ends with its last whole record, and can be read.
+        """
+        if not self._file.closed:
+            with self._file:
+                if not self._refused:
+                    with self._counted():
+                        self._writer.finish()
+
+    @contextmanager
+    def _counted(self) -> Iterator[None]:
+        """What was added is kept once the file has grown: chunks go there whole."""
+        size = self._file.tell()
+        try:
+            yield
+        except OSError:
+            self._refused = True  # the writer has lost its chunk and would write an empty one in its place
+            raise
+        finally:
+            if self._file.tell() > size:
+                self.kept = self._added
+
+
+class ChartLog(FileSink[ChartLogFile]):
+    """One channel a topic: `chart.<array>`, `quality.<array>`, `status.<array>`.
 
     With `foxglove`, each write of charts is also one JSON message on `/chart/<array>/points`.
     """
@@ -59,25 +162,9 @@ class ChartLog(Sink):
 
     def __init__(self, settings: Any, array: ArrayGeometry) -> None:
         super().__init__(settings, array)
-        self._file: BinaryIO | None = None
-        self._path: Path | None = None
+        self.max_bytes = self.settings.max_bytes
         self._waiting: list[ChartUpdate] = []
-        self._write_at = self._flush_at = 0.0
-
-    @classmethod
-    def problems(cls, settings: ChartLogSettings) -> list[str]:
-        """Whether a file can be written there."""
-        return write_problems(settings.path)
-
-    def open(self, node: NodeAccess | None) -> None:
-        """Begin the first file.
-
-        Raises
-        ------
-        SetupError
-            If it cannot be written.
-        """
-        self._begin()
+        self._write_at = 0.0
 
     def on_chart(self, update: ChartUpdate) -> None:
         """Gather the update; write what is gathered when it is time."""
@@ -89,31 +176,22 @@ class ChartLog(Sink):
 
     def on_quality(self, report: dict[str, Any]) -> None:
         """Write the report."""
-        self._write("quality", {"array": self.array.name, **plain(report)})
+        self._report("quality", report)
 
     def on_status(self, report: dict[str, Any]) -> None:
         """Write the report."""
-        self._write("status", {"array": self.array.name, **plain(report)})
+        self._report("status", report)
 
     def on_tick(self) -> None:
-        """Write what is gathered when it is time, and a chunk now and then, however short."""
-        now = time.monotonic()
-        if now >= self._write_at:
+        """Write what is gathered when it is time."""
+        if time.monotonic() >= self._write_at:
             self._write_waiting()
-        if now >= self._flush_at and self._file is not None:
-            self._flush_at = now + FLUSH_S
-            self._writer.flush()
+        super().on_tick()
 
     def close(self) -> None:
-        """Write what is gathered and the index, and close the file."""
-        try:
-            self._write_waiting()
-        finally:
-            self._end()
-
-    def where(self) -> str | None:
-        """The file in progress, or the last one."""
-        return None if self._path is None else str(self._path)
+        """Write what is gathered, and end the file."""
+        self._write_waiting()
+        super().close()
 
     def _write_waiting(self) -> None:
         if not self._waiting:
@@ -121,53 +199,21 @@ class ChartLog(Sink):
         update, self._waiting = ChartUpdate.concatenate(self._waiting), []
         begin = time.monotonic()
         for part in update.parts(ROWS_PER_MESSAGE):
-            self._write("chart", part.plain())
+            values = part.plain()
+            self._write(len(part), partial(ChartLogFile.add, kind="chart", values=values, rows=len(part)))
         if self.settings.foxglove:
-            self._write("points", point_cloud(update))
+            self._write(0, lambda file: file.add("points", point_cloud(update)))
         if self.settings.every_s:
             took = time.monotonic() - begin
             self._write_at = begin + max(self.settings.every_s, took / LARGEST_SHARE)
 
-    def _write(self, kind: str, values: dict[str, Any]) -> None:
-        if self._file is None:
-            raise OSError(f"the log {self._path} has ended")
-        if self._file.tell() >= self.settings.max_bytes:
-            self._end()
-            self._begin()
-        text = self._encoding(kind) == "json"
-        data = json.dumps(values).encode() if text else msgpack.packb(values)
-        now = time.time_ns()
-        self._writer.add_message(self._channels[kind], now, data, now, self._written)
-        self._written += 1
-        self._file.flush()
+    def _report(self, kind: str, report: dict[str, Any]) -> None:
+        values = {"array": self.array.name, **plain(report)}
+        self._write(0, lambda file: file.add(kind, values))
 
-    def _begin(self) -> None:
-        self._path = free_name(self.settings.path)
-        try:
-            self._file = self._path.open("xb")
-        except OSError as error:
-            raise SetupError(f"cannot write {self._path}: {error.strerror}") from None
-        self._written = 0
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._writer.start(profile="chachart")
-        self._writer.add_metadata(HEAD, {"array": json.dumps(self.array.as_dict())})
-        self._channels = {}
-        kinds = {kind: (f"{kind}.{self.array.name}", schema) for kind, schema in _schemas().items()}
-        if self.settings.foxglove:
-            kinds["points"] = f"/chart/{self.array.name}/points", SCHEMA
-        for kind, (topic, schema) in kinds.items():
-            number = self._writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode())
-            self._channels[kind] = self._writer.register_channel(topic, self._encoding(kind), number)
-
-    def _encoding(self, kind: str) -> str:
-        """Foxglove reads point clouds in JSON only."""
-        return "json" if kind == "points" else self.settings.encoding
-
-    def _end(self) -> None:
-        file, self._file = self._file, None
-        if file is not None:
-            with file:
-                self._writer.finish()
+    def _begin(self) -> tuple[Path, ChartLogFile]:
+        path = free_name(self.settings.path)
+        return path, ChartLogFile(path, self.array, self.settings)
 
 
 def _schemas() -> dict[str, dict[str, Any]]:

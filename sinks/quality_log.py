@@ -5,16 +5,16 @@ from __future__ import annotations
 import json
 import time
 from pathlib import Path
-from typing import Any, ClassVar, Literal, TextIO
+from typing import Any, ClassVar, Literal
 
-from chachart.node.data.errors import SetupError
-from chachart.node.data.geometry import ArrayGeometry
-from chachart.sinks.base import NodeAccess, Sink, SinkSettings
-from chachart.sinks.files import file_name, write_problems
+from chachart.node.files.whole_file import WholeFile
+from chachart.sinks.base import SinkSettings
+from chachart.sinks.file_sink import FileSink, FileSinkSettings
+from chachart.sinks.files import file_name
 from chachart.sinks.plain import plain
 
 
-class QualityLogSettings(SinkSettings):
+class QualityLogSettings(FileSinkSettings):
     """`type = "quality_log"`: TW, CT, stress and position error as JSON lines."""
 
     type: Literal["quality_log"] = "quality_log"
@@ -22,48 +22,49 @@ class QualityLogSettings(SinkSettings):
     """The file to append to; `{time}` becomes the time of the start."""
 
 
-class QualityLog(Sink):
+class Lines:
+    """A text file that whole lines are appended to."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = WholeFile(path, append=True)
+        self.kept = 0
+
+    @property
+    def bytes_written(self) -> int:
+        """Size of the file."""
+        return self._file.tell()
+
+    def add(self, line: str) -> None:
+        """Append a line.
+
+        Raises
+        ------
+        OSError
+            If the disk takes no more.
+        """
+        self._file.write(f"{line}\n".encode())
+        self.kept += 1
+
+    def flush(self) -> None:
+        """Nothing waits."""
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class QualityLog(FileSink[Lines]):
     """Appends `{"time_ns", "array", ...report}` for each report and hands it to the system at once."""
 
     Settings: ClassVar[type[SinkSettings]] = QualityLogSettings
     settings: QualityLogSettings
-
-    def __init__(self, settings: Any, array: ArrayGeometry) -> None:
-        super().__init__(settings, array)
-        self._file: TextIO | None = None
-        self._path: Path | None = None
-
-    @classmethod
-    def problems(cls, settings: QualityLogSettings) -> list[str]:
-        """Whether the file can be written."""
-        return write_problems(settings.path)
-
-    def open(self, node: NodeAccess | None) -> None:
-        """Open the file.
-
-        Raises
-        ------
-        SetupError
-            If it cannot be written.
-        """
-        self._path = file_name(self.settings.path)
-        try:
-            self._file = self._path.open("a", encoding="utf-8", buffering=1)
-        except OSError as error:
-            raise SetupError(f"cannot write {self._path}: {error.strerror}") from None
+    appends = True
 
     def on_quality(self, report: dict[str, Any]) -> None:
         """Append the report."""
-        if self._file is not None:
-            line = {"time_ns": time.time_ns(), "array": self.array.name, **plain(report)}
-            self._file.write(json.dumps(line) + "\n")
+        line = json.dumps({"time_ns": time.time_ns(), "array": self.array.name, **plain(report)})
+        self._write(1, lambda file: file.add(line))
 
-    def close(self) -> None:
-        """Close the file."""
-        if self._file is not None:
-            self._file.close()
-            self._file = None
-
-    def where(self) -> str | None:
-        """The file."""
-        return None if self._path is None else str(self._path)
+    def _begin(self) -> tuple[Path, Lines]:
+        path = file_name(self.settings.path)
+        return path, Lines(path)

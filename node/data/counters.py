@@ -26,6 +26,10 @@ class Counters:
         for reason, n in other.items():
             self.add(reason, n)
 
+    def __str__(self) -> str:
+        """`64 queue_full, 3 late`, or `nothing`."""
+        return ", ".join(f"{n} {reason}" for reason, n in self._counts.items() if n) or "nothing"
+
     def total(self) -> int:
         """Sum over all reasons."""
         return sum(self._counts.values())

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -29,6 +29,7 @@ from mcap.records import (
 
 from chachart.node.data.version import build
 from chachart.node.files.mcap_chunks import CHUNK, MAGIC, MESSAGE, RECORD
+from chachart.node.files.whole_file import WholeFile
 
 _CHANNEL = _SCHEMA = 1
 
@@ -42,7 +43,9 @@ class OutgoingMessage(NamedTuple):
 
 
 class McapWriter:
-    """Writes to an open binary file from its beginning; closing the file is the caller's.
+    """Writes to an empty file; closing it is the caller's.
+
+    A chunk or record that the disk refuses leaves nothing behind, in the file or in its index.
 
     Parameters
     ----------
@@ -54,9 +57,8 @@ class McapWriter:
         Of the messages, as text for people.
     """
 
-    def __init__(self, file: BinaryIO, topic: str, encoding: str, schema_name: str, schema: bytes) -> None:
+    def __init__(self, file: WholeFile, topic: str, encoding: str, schema_name: str, schema: bytes) -> None:
         self._file = file
-        self._position = 0
         self._schema = _encoded(Schema(id=_SCHEMA, name=schema_name, encoding="text/plain", data=schema))
         self._channel = _encoded(
             Channel(id=_CHANNEL, topic=topic, message_encoding=encoding, metadata={}, schema_id=_SCHEMA)
@@ -64,32 +66,39 @@ class McapWriter:
         self._chunks: list[ChunkIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._messages = 0
-        self._write([MAGIC, _encoded(Header(profile="chachart", library=f"chachart {build()}"))])
+        self._file.write_all([MAGIC, _encoded(Header(profile="chachart", library=f"chachart {build()}"))])
 
     @property
     def bytes_written(self) -> int:
         """Size of the file so far."""
-        return self._position
+        return self._file.tell()
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write a Metadata record."""
         record = _encoded(Metadata(name=name, metadata=dict(values)))
-        self._metadata.append(MetadataIndex(offset=self._position, length=len(record), name=name))
-        self._write([record])
+        start = self._file.tell()
+        self._file.write(record)
+        self._metadata.append(MetadataIndex(offset=start, length=len(record), name=name))
 
     def add_chunk(self, messages: Sequence[OutgoingMessage]) -> None:
-        """Write messages as one chunk with its CRC-32, and hand it to the operating system."""
+        """Write messages as one chunk with its CRC-32.
+
+        Raises
+        ------
+        OSError
+            If the disk takes no more; the file is what it was before.
+        """
         pieces: list[bytes | memoryview] = [] if self._chunks else [self._schema, self._channel]
         size = sum(map(len, pieces))
-        places = []
+        places: list[tuple[int, int]] = []
         for message in messages:
             length = MESSAGE.size + sum(map(len, message.parts))
             head = RECORD.pack(Opcode.MESSAGE, length)
-            head += MESSAGE.pack(_CHANNEL, self._messages & 0xFFFFFFFF, message.log_ns, message.publish_ns)
+            number = (self._messages + len(places)) & 0xFFFFFFFF
+            head += MESSAGE.pack(_CHANNEL, number, message.log_ns, message.publish_ns)
             places.append((message.log_ns, size))
             pieces += [head, *message.parts]
             size += RECORD.size + length
-            self._messages += 1
         crc = 0
         for piece in pieces:
             crc = zlib.crc32(piece, crc)
@@ -97,25 +106,33 @@ class McapWriter:
         head = RECORD.pack(Opcode.CHUNK, CHUNK.size + 8 + size)
         head += CHUNK.pack(start, end, size, crc, 0) + size.to_bytes(8, "little")
         index = _encoded(MessageIndex(_CHANNEL, places))
+        position = self._file.tell()
+        self._file.write_all([head, *pieces, index])
+        self._messages += len(places)
         self._chunks.append(
             ChunkIndex(
-                chunk_start_offset=self._position,
+                chunk_start_offset=position,
                 chunk_length=len(head) + size,
                 message_start_time=start,
                 message_end_time=end,
-                message_index_offsets={_CHANNEL: self._position + len(head) + size},
+                message_index_offsets={_CHANNEL: position + len(head) + size},
                 message_index_length=len(index),
                 compression="",
                 compressed_size=size,
                 uncompressed_size=size,
             )
         )
-        self._write([head, *pieces, index])
 
     def finish(self) -> None:
-        """Write the index; nothing may be written after it."""
-        self._write([_encoded(DataEnd(0))])
-        start = self._position
+        """Write the index; nothing may be written after it.
+
+        Raises
+        ------
+        OSError
+            If the disk takes no more; the file is what it was before.
+        """
+        end = _encoded(DataEnd(0))
+        start = self._file.tell() + len(end)
         groups: dict[Opcode, list[bytes]] = {
             Opcode.SCHEMA: [self._schema],
             Opcode.CHANNEL: [self._channel],
@@ -132,7 +149,7 @@ class McapWriter:
         offset_start = start + len(summary)
         footer = _encoded(Footer(start, offset_start, 0))[:-4]
         crc = zlib.crc32(summary + offsets + footer)
-        self._write([summary, offsets, footer, crc.to_bytes(4, "little"), MAGIC])
+        self._file.write_all([end, summary, offsets, footer, crc.to_bytes(4, "little"), MAGIC])
 
     def _statistics(self) -> Statistics:
         return Statistics(
@@ -146,12 +163,6 @@ class McapWriter:
             message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
             channel_message_counts={_CHANNEL: self._messages},
         )
-
-    def _write(self, pieces: Sequence[bytes | memoryview]) -> None:
-        for piece in pieces:
-            self._file.write(piece)
-        self._file.flush()
-        self._position += sum(map(len, pieces))
 
 
 def _encoded(record: McapRecord) -> bytes:

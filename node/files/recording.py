@@ -32,6 +32,7 @@ from chachart.node.files.chart_log import is_chart_log
 from chachart.node.files.mcap_chunks import ChunkSpan, DamagedChunk, FileIndex, read_index, read_messages
 from chachart.node.files.mcap_writer import McapWriter, OutgoingMessage
 from chachart.node.files.recording_totals import Account, Totals
+from chachart.node.files.whole_file import WholeFile
 from chachart.node.net.wire import WireError, decode_csi_map, encode_csi_map
 
 FORMAT = "1"
@@ -106,7 +107,7 @@ class RecordingWriter:
         self._gathered: list[CsiBlock] = []
         self._gathered_bytes = 0
         try:
-            self._file = self.path.open("xb")
+            self._file = WholeFile(self.path)
         except FileExistsError:
             raise SetupError(f"{path} exists already; recordings are never overwritten") from None
         except OSError as error:
@@ -115,9 +116,10 @@ class RecordingWriter:
             self._writer = McapWriter(self._file, "csi", "msgpack", "chachart.csi", _SCHEMA)
             head = {"format": FORMAT, "array": json.dumps(array.as_dict()), "note": json.dumps(note or {})}
             self._writer.add_metadata(_HEAD, head)
-        except BaseException:
+        except OSError as error:
             self._file.close()
-            raise
+            self.path.unlink(missing_ok=True)
+            raise SetupError(f"cannot write {path}: {error.strerror}") from None
 
     def write(self, block: CsiBlock) -> None:
         """Append a block: a long one becomes several messages, short ones that follow each other become one.
@@ -140,29 +142,32 @@ class RecordingWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Hand what there is to the operating system as a chunk of its own, however short.
-
-        Raises
-        ------
-        OSError
-            If the disk takes no more.
+        """Hand what there is to the operating system, however short a chunk it makes.
+        Raises OSError if the disk takes no more: the file ends with its last whole chunk, the rest is lost.
         """
         blocks, self._gathered, self._gathered_bytes = self._gathered, [], 0
-        messages: list[OutgoingMessage] = []
+        pieces: list[CsiBlock] = []
         size = 0
         for block in _joined(blocks):
             step = max(1, min(MESSAGE_FRAMES, MESSAGE_BYTES // block.csi[0].nbytes))
             for start in range(0, len(block), step):
-                piece = block.cut(start, start + step)
-                first, last = self._account.add(piece)
-                # MCAP's times are unsigned; the frames keep their own.
-                messages.append(OutgoingMessage(max(first, 0), max(last, 0), encode_csi_map(piece)))
-                size += piece.csi.nbytes
+                pieces.append(block.cut(start, start + step))
+                size += pieces[-1].csi.nbytes
                 if size >= self._chunk_bytes:
-                    self._writer.add_chunk(messages)
-                    messages, size = [], 0
-        if messages:
-            self._writer.add_chunk(messages)
+                    self._add_chunk(pieces)
+                    pieces, size = [], 0
+        if pieces:
+            self._add_chunk(pieces)
+
+    def _add_chunk(self, pieces: list[CsiBlock]) -> None:
+        messages = []
+        for piece in pieces:
+            # MCAP's times are unsigned; the frames keep their own.
+            first, last = (max(int(time_ns), 0) for time_ns in (piece.time_ns.min(), piece.time_ns.max()))
+            messages.append(OutgoingMessage(first, last, encode_csi_map(piece)))
+        self._writer.add_chunk(messages)
+        for piece in pieces:
+            self._account.add(piece)
 
     @property
     def frames(self) -> int:
@@ -170,12 +175,20 @@ class RecordingWriter:
         return self._account.frames + sum(len(block) for block in self._gathered)
 
     @property
+    def kept(self) -> int:
+        """Frames in whole chunks."""
+        return self._account.frames
+
+    @property
     def bytes_written(self) -> int:
         """Size of the file so far; the chunk in progress does not count yet."""
         return self._writer.bytes_written
 
     def close(self) -> None:
-        """Write the totals and the index, and close the file. May be called twice."""
+        """Write the totals and the index, and close the file. May be called twice.
+
+        Raises OSError if the disk takes no more: the file ends with its last whole chunk, and can be read.
+        """
         if self._file.closed:
             return
         with self._file:

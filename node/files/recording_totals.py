@@ -47,15 +47,14 @@ class Account:
     span_ns: int = 0
     ues: set[int] = field(default_factory=set)
 
-    def add(self, block: CsiBlock) -> tuple[int, int]:
-        """Count a block; its earliest and latest time."""
+    def add(self, block: CsiBlock) -> None:
+        """Count a block."""
         first, last = int(block.time_ns.min()), int(block.time_ns.max())
         self.frames += len(block)
         self.start_ns = first if self.start_ns is None else min(first, self.start_ns)
         self.end_ns = last if self.end_ns is None else max(last, self.end_ns)
         self.span_ns = max(self.span_ns, last - first)
         self.ues.update(np.unique(block.ue).tolist())
-        return first, last
 
     def totals(self) -> Totals:
         """The account so far."""

@@ -142,6 +142,7 @@ class Node:
         self._update_status()
         self._charts.report("status", self._status)
         self._close_parts()
+        self._update_status()
         return summary(self._status, self._charts.latency.percentiles_ms())
 
     def chart(self) -> ChartUpdate | None:

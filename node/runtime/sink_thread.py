@@ -42,6 +42,7 @@ class SinkThread:
         self.received = 0
         self.errors = 0
         self.dropped = Counters()
+        self._handed_over = 0
         self._capacity = capacity
         self._lossless = lossless
         self._queue: deque[ChartUpdate | CsiBlock] = deque()
@@ -92,7 +93,10 @@ class SinkThread:
             self._condition.notify_all()
         self._thread.join(timeout)
         if self._thread.is_alive():
-            log.error("sink %s did not finish within %.0f s", self.name, timeout)
+            with self._condition:
+                left = self.received - self._handed_over - self.dropped.as_dict().get("queue_full", 0)
+                self.dropped.add("not_finished", left)
+            log.error("sink %s did not finish within %.0f s; %d did not get there", self.name, timeout, left)
 
     def status(self) -> dict[str, Any]:
         """Counts for the node's status report."""
@@ -100,8 +104,9 @@ class SinkThread:
             "name": self.name,
             "where": self.sink.where(),
             "received": self.received,
-            "dropped": self.dropped.as_dict(),
+            "dropped": self.dropped.as_dict() | self.sink.lost.as_dict(),
             "errors": self.errors,
+            "trouble": self.sink.trouble,
         }
 
     def _run(self) -> None:
@@ -136,8 +141,10 @@ class SinkThread:
         if updates:
             merged = ChartUpdate.concatenate(updates)
             self._call(self.sink.on_chart, merged, frames=len(merged))
+            self._handed_over += sum(map(len, updates))
         for block in blocks:
             self._call(self.sink.on_csi, block, frames=len(block))
+            self._handed_over += len(block)
         for kind, values in reports.items():
             self._call(self.sink.on_quality if kind == "quality" else self.sink.on_status, values)
         if time.monotonic() >= self._next_tick:

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import resource
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -46,28 +44,3 @@ def test_a_slow_stream_is_flushed(tmp_path: Path) -> None:
     sink.on_tick()
     assert RecordingReader(tmp_path / "csi.mcap").summary().frames == 1
     sink.close()
-
-
-@pytest.fixture
-def small_disk() -> Iterator[int]:
-    """Files of this process cannot grow beyond so many bytes, as on a full disk."""
-    limit = 600_000
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
-    yield limit
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
-def test_a_full_disk_ends_the_recording_and_keeps_what_is_there(tmp_path: Path, small_disk: int) -> None:
-    sink = recorder(tmp_path / "csi.mcap")
-    blocks = [some_block(16, seq=16 * i, **WIDE) for i in range(5)]
-    for block in blocks[:2]:
-        sink.on_csi(block)
-    with pytest.raises(OSError, match=r"csi\.mcap has ended: File too large"):
-        sink.on_csi(blocks[2])
-    with pytest.raises(OSError, match="has ended"):
-        sink.on_csi(blocks[-1])
-    sink.on_tick()
-    sink.close()
-    read = list(RecordingReader(tmp_path / "csi.mcap").blocks())
-    assert_same_frames(read, blocks[:2])
