@@ -1,0 +1,224 @@
+"""What all live devices have in common: coming back after they have gone, gathering frames into blocks."""
+
+from __future__ import annotations
+
+import logging
+import time
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from chachart.node.data.counters import Counters
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.sources.base import EndOfSource, Source, SourceSettings
+from chachart.sources.checks import usable
+from chachart.sources.frontend.retry import Backoff
+
+log = logging.getLogger(__name__)
+
+MAX_BLOCK_FRAMES = 64
+
+
+class CodecError(ValueError):
+    """What came is not what the device sends.
+
+    Attributes
+    ----------
+    reason
+        One word, under which it is counted.
+    """
+
+    def __init__(self, reason: str, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+class DeviceGone(Exception):
+    """The device, or the way to it, has gone."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One transmission as the array heard it.
+
+    Attributes
+    ----------
+    ue
+        Who transmitted.
+    time_ns
+        When, nanoseconds since the Unix epoch.
+    csi
+        complex64 (N_R antennas, N_S subcarriers).
+    lost
+        Transmissions that are known to be missing right before this one.
+    """
+
+    ue: int
+    time_ns: int
+    csi: NDArray[np.complex64]
+    lost: int = 0
+
+
+class Connection(ABC):
+    """An open way to a device."""
+
+    @abstractmethod
+    def frames(self, timeout: float) -> list[Frame] | None:
+        """The frames that what has come completes; None if nothing came within `timeout` seconds.
+
+        Raises
+        ------
+        DeviceGone
+            If the device has gone.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of it. May be called twice."""
+
+    def details(self) -> dict[str, Any]:
+        """What a status display may show: plain values."""
+        return {}
+
+
+class DeviceSettings(SourceSettings):
+    """What every live device's source is told."""
+
+    retry_max_s: float = Field(5.0, gt=0)
+    """Longest wait between two tries to reach a device that has gone; the first is 0.1 s."""
+
+
+class DeviceSource(Source):
+    """Frames of a device that may go and come back."""
+
+    settings: DeviceSettings
+
+    def __init__(self, settings: Any, array: ArrayGeometry) -> None:
+        super().__init__(settings, array)
+        self._backoff = Backoff(self.settings.retry_max_s)
+        self._connection: Connection | None = None
+        self._reconnects = 0
+        self._next_seq = 0
+
+    @property
+    @abstractmethod
+    def where(self) -> str:
+        """What the device is called in the log and the status."""
+
+    @abstractmethod
+    def _connect(self) -> Connection:
+        """Reach the device and have it send.
+
+        Raises
+        ------
+        SetupError
+            If that cannot be.
+        """
+
+    def _finished(self) -> bool:
+        """Whether nothing will ever come again, as when a simulated device has played to its end."""
+        return False
+
+    def open(self) -> None:
+        """Reach the device.
+
+        Raises
+        ------
+        SetupError
+            If it does not answer, or is not what the settings say.
+        """
+        try:
+            self._connection = self._connect()
+        except SetupError:
+            self.close()
+            raise
+
+    def recv(self, timeout: float) -> CsiBlock | None:
+        """The frames that have come, as a block, or None if none came within `timeout` seconds.
+
+        Raises
+        ------
+        EndOfSource
+            When a simulated device has sent all its frames.
+        """
+        deadline = time.monotonic() + timeout
+        frames: list[Frame] = []
+        while len(frames) < MAX_BLOCK_FRAMES:
+            came = self._step(0.0 if frames else max(deadline - time.monotonic(), 0.0))
+            frames += came or ()
+            if time.monotonic() >= deadline or (frames and not came):
+                break
+        if not frames and self._finished():
+            raise EndOfSource
+        return self._block(frames)
+
+    def close(self) -> None:
+        """Let go of the device."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def details(self) -> dict[str, Any]:
+        """The device, whether it is reached, how often it was reached again, and what it says of itself."""
+        of_device = {} if self._connection is None else self._connection.details()
+        connected = self._connection is not None
+        return {"device": self.where, "connected": connected, "reconnects": self._reconnects, **of_device}
+
+    def _step(self, timeout: float) -> list[Frame] | None:
+        if self._connection is None:
+            self._reconnect(timeout)
+            return None
+        try:
+            return self._connection.frames(timeout)
+        except DeviceGone as error:
+            log.warning("%s has gone (%s): trying again until it is back", self.where, error)
+            self._connection.close()
+            self._connection = None
+            self._backoff.failed()
+            return None
+
+    def _reconnect(self, timeout: float) -> None:
+        wait = self._backoff.wait_s()
+        if wait > 0:
+            time.sleep(min(wait, timeout))
+            return
+        try:
+            self._connection = self._connect()
+        except SetupError as error:
+            log.debug("%s", error)
+            self._backoff.failed()
+            return
+        self._backoff.succeeded()
+        self._reconnects += 1
+        log.info("%s is back", self.where)
+
+    def _block(self, frames: list[Frame]) -> CsiBlock | None:
+        """Frames as a block whose number counts those known to be missing; odd ones are rejected."""
+        shape = self.array.antennas, self.array.subcarriers
+        fitting = [frame for frame in frames if frame.csi.shape == shape]
+        if len(fitting) < len(frames):
+            self.rejected.add("shape", len(frames) - len(fitting))
+        if not fitting:
+            return None
+        block = CsiBlock(
+            self.array.name,
+            self._next_seq + sum(frame.lost for frame in fitting),
+            np.array([frame.ue for frame in fitting], np.uint64),
+            np.array([frame.time_ns for frame in fitting], np.int64),
+            np.stack([frame.csi for frame in fitting]).astype(np.complex64, copy=False),
+        )
+        good = usable(block, self.rejected)
+        self._next_seq = block.seq + (0 if good is None else len(good))
+        return good
+
+
+def count(error: CodecError, rejected: Counters) -> None:
+    """Count what was not understood, and say why where somebody debugs."""
+    rejected.add(error.reason)
+    log.debug("%s", error)

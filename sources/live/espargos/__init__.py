@@ -1,0 +1,1 @@
+"""ESPARGOS boards: eight phase-coherent Wi-Fi receivers, 2 x 4 antennas."""

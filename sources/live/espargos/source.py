@@ -1,0 +1,336 @@
+"""The source `espargos`: live frames from one ESPARGOS board, or from several that share a clock."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import time
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from chachart.node.data.counters import Counters
+from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import SPEED_OF_LIGHT, ArrayGeometry
+from chachart.node.data.settings import Settings
+from chachart.sources.base import SourceSettings
+from chachart.sources.frontend.clock import DeviceClock
+from chachart.sources.live.device import (
+    CodecError,
+    Connection,
+    DeviceGone,
+    DeviceSettings,
+    DeviceSource,
+    Frame,
+    count,
+)
+from chachart.sources.live.espargos import calibration, control, stream
+from chachart.sources.live.espargos.board import BoardFaults, SimulatedBoard
+from chachart.sources.live.espargos.calibration import Correction, trace_delay_s
+from chachart.sources.live.espargos.cluster import ANTENNAS, Cluster, Grouping
+from chachart.sources.live.espargos.control import Channel, Controller
+from chachart.sources.live.espargos.message import decode_message
+from chachart.sources.simulator import Simulator, SimulatorSettings
+
+log = logging.getLogger(__name__)
+
+UDP_PORT = 53330
+RECEIVE_BUFFER_BYTES = 16 << 20
+LONGEST_DATAGRAM = 65535
+KEEP_ALIVE_S = 1.0
+SILENCE_S = 5.0
+GREETING_S = 3.0
+SETTLE_S = 0.3
+
+
+class EspargosLoopback(BoardFaults):
+    """A simulated board in this process: nothing needs to be plugged in."""
+
+    channel_primary: int = Field(13, ge=1, le=14)
+    """The Wi-Fi channel that it listens on."""
+    scenario: SimulatorSettings = SimulatorSettings(ues=32, frame_rate_hz=200.0, snr_db=20.0)
+    """What it hears."""
+
+
+class Board(Settings):
+    """One board of several that are wired to one clock."""
+
+    host: str = Field("192.168.1.2", min_length=1, max_length=253)
+    """Its controller's address, with `:port` where that is not 80."""
+    cable_m: float = Field(0.0, ge=0)
+    """Length of the cable that brings it the common reference."""
+    velocity_factor: float = Field(0.69, gt=0, le=1)
+    """Speed in that cable over that of light."""
+
+
+class EspargosSettings(DeviceSettings):
+    """ESPARGOS boards over UDP. Phase is random and delay relative: a packet says where, not how far."""
+
+    type: Literal["espargos"] = "espargos"
+    """Which source."""
+    boards: tuple[Board, ...] = Field((Board(),), min_length=1, max_length=16)
+    """One board, or several wired to one clock: their antennas, one board after the other, are one array."""
+    calibrate_s: float = Field(2.0, ge=0, le=60)
+    """How long the reference is listened to at the start and after the channel has changed; 0: not at all."""
+    udp_port: int = Field(UDP_PORT, ge=1, le=65535)
+    """Where the controllers want signs of life."""
+    loopback: EspargosLoopback | bool = False
+    """true, or a table: simulate one board in this process. Its keys: `corrupt`, `drop`, `reorder` (fractions
+    of the packets), `clock_ns`, `fault_seed`, `channel_primary`, and `scenario`, a simulator's settings."""
+
+
+class EspargosSource(DeviceSource):
+    """One Wi-Fi packet that all antennas heard is a frame; its sender is the UE."""
+
+    Settings: ClassVar[type[SourceSettings]] = EspargosSettings
+    settings: EspargosSettings
+
+    def __init__(self, settings: EspargosSettings, array: ArrayGeometry) -> None:
+        super().__init__(settings, array)
+        self._board: SimulatedBoard | None = None
+        self._over: float | None = None
+
+    @classmethod
+    def problems(cls, settings: EspargosSettings) -> list[str]:
+        """Boards named twice."""
+        hosts = [board.host for board in settings.boards]
+        return [
+            f"boards: {host!r} stands there twice" for host in dict.fromkeys(hosts) if hosts.count(host) > 1
+        ]
+
+    @property
+    def where(self) -> str:
+        """The boards' addresses."""
+        return (
+            "loopback" if self.settings.loopback else ", ".join(board.host for board in self.settings.boards)
+        )
+
+    def close(self) -> None:
+        """Stop the stream, and the simulated board."""
+        super().close()
+        if self._board is not None:
+            self._board.stop()
+            self._board = None
+
+    def _connect(self) -> Connection:
+        boards, port = self.settings.boards, self.settings.udp_port
+        if self.settings.loopback:
+            board = self._simulated()
+            boards, port = (Board(host=board.host),), board.udp_port
+        self._check_array(len(boards))
+        return Stream(boards, port, self.settings.calibrate_s, self.rejected)
+
+    def _finished(self) -> bool:
+        if self._board is None or not self._board.ended.is_set():
+            return False
+        self._over = self._over or time.monotonic()
+        return time.monotonic() - self._over >= SETTLE_S
+
+    def _simulated(self) -> SimulatedBoard:
+        if self._board is None:
+            told = self.settings.loopback
+            loopback = told if isinstance(told, EspargosLoopback) else EspargosLoopback()
+            source = Simulator(loopback.scenario, self.array)
+            self._board = SimulatedBoard(source, Channel(loopback.channel_primary, 0), loopback)
+            self._board.start()
+        return self._board
+
+    def _check_array(self, boards: int) -> None:
+        from chachart.sources.live.espargos.message import TONES
+
+        wanted = boards * ANTENNAS, len(TONES)
+        if (self.array.antennas, self.array.subcarriers) != wanted:
+            raise SetupError(
+                f"[array] {boards} ESPARGOS boards measure {wanted[0]} antennas x {wanted[1]} subcarriers, "
+                f"not {self.array.antennas} x {self.array.subcarriers}"
+            )
+
+
+class Stream(Connection):
+    """The datagrams of all boards, their calibration, and the frames that come of them.
+
+    Raises
+    ------
+    SetupError
+        If a controller does not answer or does not begin to send.
+    """
+
+    def __init__(self, boards: tuple[Board, ...], port: int, calibrate_s: float, rejected: Counters) -> None:
+        self._controllers = [Controller(board.host) for board in boards]
+        self._path_s = np.concatenate(
+            [trace_delay_s() + b.cable_m / (b.velocity_factor * SPEED_OF_LIGHT) for b in boards]
+        )
+        self._port, self._calibrate_s, self._rejected = port, calibrate_s, rejected
+        self._grouping = Grouping(ANTENNAS * len(boards), rejected)
+        self._reassembly = [stream.Reassembly(rejected) for _ in boards]
+        self._clock = DeviceClock()
+        self._correction: Correction | None = None
+        self._references: list[Cluster] = []
+        self._calibrating_until: float | None = None
+        self._lost = 0
+        self._sockets: dict[str, socket.socket] = {}
+        try:
+            self._channel = self._begin()
+        except SetupError:
+            self.close()
+            raise
+
+    def frames(self, timeout: float) -> list[Frame] | None:
+        """See `Connection`."""
+        import select
+
+        now = time.monotonic()
+        self._keep_alive(now)
+        self._calibrate(now)
+        readable = select.select(list(self._sockets.values()), [], [], min(timeout, KEEP_ALIVE_S))[0]
+        frames: list[Frame] = []
+        for board, receiver in enumerate(self._sockets.values()):
+            if receiver in readable:
+                self._heard = time.monotonic()
+                for _ in range(ANTENNAS):  # a packet's worth, then look at the other boards
+                    try:
+                        datagram = receiver.recv(LONGEST_DATAGRAM)
+                    except BlockingIOError:
+                        break
+                    except OSError as error:
+                        raise DeviceGone(str(error)) from None
+                    frames += self._take(board, datagram)
+        if not readable and time.monotonic() - self._heard > SILENCE_S:
+            raise DeviceGone(f"nothing for {SILENCE_S:g} s")
+        return frames if readable else None
+
+    def close(self) -> None:
+        """Have the controllers stop."""
+        for controller, receiver in zip(self._controllers, self._sockets.values(), strict=False):
+            try:
+                controller.stream(False, receiver.getsockname()[1])
+            except SetupError as error:
+                log.debug("%s", error)
+        for receiver in self._sockets.values():
+            receiver.close()
+        self._sockets.clear()
+
+    def details(self) -> dict[str, Any]:
+        """The channel, and what calibration has found."""
+        found = self._correction
+        state = "running" if self._calibrating_until is not None else "none" if found is None else "done"
+        return {
+            "channel": self._channel.primary,
+            "secondary": self._channel.secondary,
+            "calibration": state,
+            "calibration_packets": 0 if found is None else found.packets,
+            "clock": self._clock.details(),
+        }
+
+    def _begin(self) -> Channel:
+        """Ask all boards to send, and wait until each does."""
+        channels = set()
+        for controller in self._controllers:
+            controller.identify()
+            controller.acquire()
+            channels.add(controller.channel())
+        if len(channels) > 1:
+            raise SetupError(
+                f"[source] the boards listen on different channels: {sorted(c.primary for c in channels)}"
+            )
+        for controller in self._controllers:
+            receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            self._sockets[controller.host] = receiver
+            receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+            receiver.bind(("", 0))
+            address = controller.host.partition(":")[0], self._port
+            try:
+                receiver.sendto(b"", address)
+                controller.stream(True, receiver.getsockname()[1])
+                receiver.settimeout(GREETING_S)
+                greeting = receiver.recv(LONGEST_DATAGRAM)
+            except OSError as error:
+                raise SetupError(f'[source] "{controller.host}" does not begin to send: {error}') from None
+            if greeting != stream.HELLO:
+                raise SetupError(
+                    f'[source] "{controller.host}" begins with {greeting[:8].hex()}, not e5a76000'
+                )
+            receiver.setblocking(False)
+        self._heard = self._kept_alive = time.monotonic()
+        if self._calibrate_s:
+            self._start_calibration()
+        return channels.pop()
+
+    def _keep_alive(self, now: float) -> None:
+        if now - self._kept_alive < KEEP_ALIVE_S:
+            return
+        self._kept_alive = now
+        for host, receiver in self._sockets.items():
+            try:
+                receiver.sendto(b"", (host.partition(":")[0], self._port))
+            except OSError as error:
+                raise DeviceGone(str(error)) from None
+        self._lost += self._grouping.give_up(now)
+
+    def _start_calibration(self) -> None:
+        self._references = []
+        for controller in self._controllers:
+            controller.switch(control.REFERENCE)
+        self._calibrating_until = time.monotonic() + self._calibrate_s
+
+    def _calibrate(self, now: float) -> None:
+        """When the reference has been heard for long enough: find the correction, back to the antennas."""
+        if self._calibrating_until is None or now < self._calibrating_until:
+            return
+        self._calibrating_until = None
+        try:
+            for controller in self._controllers:
+                controller.switch(control.ANTENNAS)
+        except SetupError as error:
+            raise DeviceGone(str(error)) from None
+        if len(self._references) < calibration.FEWEST:
+            log.warning(
+                "%s: only %d reference packets came: frames are not calibrated (is the phase reference "
+                "generated during calibration? see the controller's web page)",
+                self._controllers[0].host,
+                len(self._references),
+            )
+            return
+        self._correction = calibration.find(self._references, self._channel.centre_hz, self._path_s)
+        log.info("calibrated by %d reference packets", self._correction.packets)
+
+    def _take(self, board: int, datagram: bytes) -> list[Frame]:
+        if datagram in (b"", stream.HELLO):
+            return []
+        frames: list[Frame] = []
+        now = time.monotonic()
+        try:
+            for fragment in stream.decode_packet(datagram):
+                whole = self._reassembly[board].add(fragment, now)
+                sensor = None if whole is None else decode_message(whole)
+                if sensor is not None:
+                    cluster = self._grouping.add(ANTENNAS * board + fragment.antenna, sensor, now)
+                    if cluster is not None:
+                        frames += self._frame(cluster)
+        except CodecError as error:
+            count(error, self._rejected)
+        return frames
+
+    def _frame(self, cluster: Cluster) -> list[Frame]:
+        """The frame in a packet; reference packets are kept for the calibration."""
+        first = cluster.first
+        heard_on = Channel(first.channel, first.secondary)
+        if heard_on != self._channel:
+            log.info("the channel is now %d: calibrating anew", first.channel)
+            self._channel = heard_on
+            if self._calibrate_s:
+                self._start_calibration()
+        if first.calibration:
+            if self._calibrating_until is not None:
+                self._references.append(cluster)
+            return []
+        if self._calibrating_until is not None:
+            self._rejected.add("calibrating")
+            return []
+        csi = cluster.aligned()
+        if self._correction is not None:
+            csi = csi * self._correction.factor
+        time_ns = self._clock.observe(first.time_half_ns // 2, time.time_ns())
+        lost, self._lost = self._lost, 0
+        return [Frame(first.source, time_ns, csi, lost)]
