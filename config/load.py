@@ -17,6 +17,7 @@ from chachart.config.describe import allowed, literal_values, nested_model, toml
 from chachart.config.overrides import apply
 from chachart.config.registry import Kind, available, settings_class, suggestion
 from chachart.config.settings import ArraySettings, QualitySettings, WorkersSettings
+from chachart.config.shipped import LAB, find
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.settings import Settings
@@ -24,9 +25,6 @@ from chachart.node.estimation.fit import misfits, unreachable
 from chachart.node.estimation.options import Options
 from chachart.sinks.base import SinkSettings
 from chachart.sources.base import SourceSettings
-
-LAB = Path(__file__).with_name("lab.toml")
-"""The configuration of a node that is given none."""
 
 SECTIONS = ("array", "source", "estimator", "workers", "quality", "sinks")
 
@@ -68,8 +66,17 @@ class NodeSettings:
     sinks: tuple[SinkSettings, ...]
 
 
-def load(path: Path | None = None, overrides: Sequence[str] = ()) -> NodeSettings:
-    """The settings in the TOML file `path` (the shipped lab.toml if None), changed by `section.key=value`s.
+def load(path: Path | None = None, overrides: Sequence[str] = (), sinks: Sequence[str] = ()) -> NodeSettings:
+    """The settings in a TOML file, changed by `section.key=value`s.
+
+    Parameters
+    ----------
+    path
+        The file, or the name of a shipped one (`lab` if None).
+    overrides
+        The changes.
+    sinks
+        Types of sinks to add at their defaults; what is there already is not added again.
 
     Raises
     ------
@@ -77,8 +84,15 @@ def load(path: Path | None = None, overrides: Sequence[str] = ()) -> NodeSetting
         If the file cannot be read, or it or an override has mistakes: all of them.
     """
     name = str(path or LAB.name)
-    path = path or LAB
-    return settings_of(_read(path), overrides, name)
+    try:
+        document = _read(find(path or LAB))
+    except SetupError as error:
+        raise ConfigError(str(error).splitlines()) from None
+    there = document.setdefault("sinks", []) if sinks else []
+    if isinstance(there, list):
+        types = [sink.get("type") for sink in there if isinstance(sink, dict)]
+        there += [{"type": sink} for sink in dict.fromkeys(sinks) if sink not in types]
+    return settings_of(document, overrides, name)
 
 
 def settings_of(document: dict[str, Any], overrides: Sequence[str], name: str) -> NodeSettings:

@@ -33,6 +33,8 @@ class ControlSettings(SinkSettings):
     type: Literal["control"] = "control"
     endpoint: Endpoint = "tcp://127.0.0.1:5557"
     """Where the REP socket listens; anything but loopback and ipc needs a token."""
+    spare_ports: int = Field(0, ge=0, le=1000)
+    """Where the port is in use, one of so many after it is taken instead; the log says which."""
     token: str | None = Field(None, min_length=16, repr=False)
     """What requests from other machines must carry: 16 characters or more."""
     record_folder: Path = Field(Path("."), validate_default=False)
@@ -60,7 +62,7 @@ class Control(Sink):
     @classmethod
     def problems(cls, settings: ControlSettings) -> list[str]:
         """Whether the endpoint is free."""
-        return bind_problems(settings.endpoint)
+        return bind_problems(settings.endpoint, settings.spare_ports)
 
     def open(self, node: NodeAccess | None) -> None:
         """Listen.
@@ -78,7 +80,7 @@ class Control(Sink):
         self._socket.linger = 500
         self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_REQUEST_BYTES)
         try:
-            self._endpoint = bind(self._socket, self.settings.endpoint)
+            self._endpoint = bind(self._socket, self.settings.endpoint, self.settings.spare_ports)
         except SetupError:
             self.close()
             raise

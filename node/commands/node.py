@@ -21,6 +21,7 @@ from rich.live import Live
 from rich.logging import RichHandler
 
 from chachart.config.load import load
+from chachart.config.shipped import PLAY
 from chachart.node.data.errors import EX_CONFIG, SetupError
 from chachart.node.data.version import build
 from chachart.node.runtime import logs
@@ -44,12 +45,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     logs.set_up(options.log_format, options.log_level)
     try:
-        settings = load(options.config, options.set)
+        config, changes = options.config, options.set
+        if options.recording is not None:
+            config = config or PLAY
+            changes = ["source.type=recording", f"source.path={json.dumps(str(options.recording))}", *changes]
+        settings = load(config, changes, options.sink)
         mistakes = check(settings) + _summary_problems(options.summary)
         if mistakes:
             raise SetupError("\n".join(mistakes))
         if options.check:
-            print(f"{options.config or 'lab.toml'}: nothing wrong")
+            print(f"{config or 'lab.toml'}: nothing wrong")
             return 0
         return _run(Plan.of(settings), options)
     except SetupError as error:
@@ -61,10 +66,23 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="chachart-node",
         description="Turn the CSI of an antenna array into a live channel chart.",
-        epilog="Without --config the shipped lab.toml is used: a simulated array, published on port 5556.",
+        epilog="Without RECORDING and --config the shipped lab.toml is used: a simulated array and the live "
+        "view. `chachart config list` says which configurations there are.",
     )
     parser.add_argument("--version", action="version", version=f"chachart-node {build()}")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="the node's settings, in TOML")
+    parser.add_argument(
+        "recording", nargs="?", type=Path, metavar="RECORDING", help="play a recording, with the live view"
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="the node's settings in TOML, or the name of shipped ones"
+    )
+    parser.add_argument(
+        "--sink",
+        action="append",
+        default=[],
+        metavar="TYPE",
+        help="add a sink, such as view or chart_log, at its defaults; may be given more than once",
+    )
     parser.add_argument(
         "--set",
         action="extend",

@@ -15,8 +15,10 @@ Endpoint = Annotated[str, Field(pattern=r"^(tcp|ipc)://\S+$", max_length=256)]
 """A setting that names an endpoint."""
 
 
-def bind(socket: zmq.Socket[Any], endpoint: str) -> str:
+def bind(socket: zmq.Socket[Any], endpoint: str, spare_ports: int = 0) -> str:
     """Bind `socket`; the endpoint it really has (`tcp://127.0.0.1:0` gets a free port).
+
+    Where the port is in use, one of the `spare_ports` after it is taken instead.
 
     Raises
     ------
@@ -30,6 +32,9 @@ def bind(socket: zmq.Socket[Any], endpoint: str) -> str:
     try:
         socket.bind(endpoint)
     except zmq.ZMQError as error:
+        host, _, port = endpoint.rpartition(":")
+        if spare_ports and error.errno == zmq.EADDRINUSE and port.isdigit() and int(port) < 65535:
+            return bind(socket, f"{host}:{int(port) + 1}", spare_ports - 1)
         raise SetupError(f"cannot listen on {endpoint}: {zmq.strerror(error.errno or 0)}") from None
     return socket.getsockopt_string(zmq.LAST_ENDPOINT)
 
@@ -51,11 +56,11 @@ def connect(socket: zmq.Socket[Any], endpoint: str) -> str:
     return endpoint
 
 
-def bind_problems(endpoint: str) -> list[str]:
+def bind_problems(endpoint: str, spare_ports: int = 0) -> list[str]:
     """What would keep a socket from listening on `endpoint` now."""
     with zmq.Context() as context, context.socket(zmq.PULL) as socket:
         try:
-            bind(socket, endpoint)
+            bind(socket, endpoint, spare_ports)
         except SetupError as error:
             return [str(error)]
     return []

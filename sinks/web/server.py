@@ -22,7 +22,7 @@ from typing import Any, Self, TypeVar
 from urllib.parse import parse_qsl, quote, urlencode, urlsplit
 
 from pydantic import Field, model_validator
-from websockets.asyncio.server import ServerConnection, serve
+from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
@@ -71,6 +71,8 @@ class WebSettings(SinkSettings):
     """Address to listen on; anything but loopback needs a token."""
     port: int = Field(8080, ge=0, le=65535)
     """TCP port; 0 takes a free one."""
+    spare_ports: int = Field(0, ge=0, le=1000)
+    """Where the port is in use, one of so many after it serves instead; the log says which."""
     token: str | None = Field(None, min_length=16, repr=False)
     """What everybody must know who does not ask from this machine: 16 characters or more."""
     stale_after_s: float = Field(5.0, gt=0)
@@ -85,16 +87,25 @@ class WebSettings(SinkSettings):
 
 def port_problems(settings: WebSettings) -> list[str]:
     """What would keep a server from listening where `settings` say."""
-    try:
-        family, kind, proto, _, address = socketlib.getaddrinfo(
-            settings.host, settings.port, type=socketlib.SOCK_STREAM, flags=socketlib.AI_PASSIVE
-        )[0]
-        with socketlib.socket(family, kind, proto) as probe:
-            probe.setsockopt(socketlib.SOL_SOCKET, socketlib.SO_REUSEADDR, 1)
-            probe.bind(address)
-    except OSError as error:
-        return [_cannot_listen(settings, error)]
-    return []
+    problems: list[str] = []
+    for port in _ports(settings):
+        try:
+            family, kind, proto, _, address = socketlib.getaddrinfo(
+                settings.host, port, type=socketlib.SOCK_STREAM, flags=socketlib.AI_PASSIVE
+            )[0]
+            with socketlib.socket(family, kind, proto) as probe:
+                probe.setsockopt(socketlib.SOL_SOCKET, socketlib.SO_REUSEADDR, 1)
+                probe.bind(address)
+        except OSError as error:
+            problems = problems or [_cannot_listen(settings, error)]
+        else:
+            return []
+    return problems
+
+
+def _ports(settings: WebSettings) -> range:
+    """The port and its spare ones, in the order in which they are tried."""
+    return range(settings.port, min(settings.port + settings.spare_ports, 65535) + 1)
 
 
 def _cannot_listen(settings: WebSettings, error: OSError) -> str:
@@ -218,18 +229,7 @@ class WebServer:
         self._loop = asyncio.get_running_loop()
         self._stopping = asyncio.Event()
         try:
-            server = await serve(
-                self._handle,
-                self._settings.host,
-                self._settings.port,
-                process_request=self._process,
-                compression=None,
-                max_size=MAX_MESSAGE_BYTES,
-                max_queue=4,
-                server_header=None,
-                close_timeout=CLOSE_WITHIN_S / 2,
-                logger=_connections,
-            )
+            server = await self._listen()
         except OSError as error:
             self._failure = error
             return
@@ -245,6 +245,27 @@ class WebServer:
             beside.cancel()
         server.close()
         await server.wait_closed()
+
+    async def _listen(self) -> Server:
+        """On the first port that can be had."""
+        failure = OSError("there is no port")
+        for port in _ports(self._settings):
+            try:
+                return await serve(
+                    self._handle,
+                    self._settings.host,
+                    port,
+                    process_request=self._process,
+                    compression=None,
+                    max_size=MAX_MESSAGE_BYTES,
+                    max_queue=4,
+                    server_header=None,
+                    close_timeout=CLOSE_WITHIN_S / 2,
+                    logger=_connections,
+                )
+            except OSError as error:
+                failure = failure if failure.errno else error
+        raise failure
 
     async def _handle(self, connection: ServerConnection) -> None:
         if self._socket is not None:

@@ -77,13 +77,21 @@ class LiveNode:
             {sinks}
             """
         )
+        self._arguments = ["--config", str(self._config)]
         self._process: subprocess.Popen[bytes] | None = None
+
+    @classmethod
+    def told(cls, folder: Path, *arguments: str) -> Self:
+        """A node with these arguments instead of a configuration."""
+        node = cls(folder, "")
+        node._arguments = list(arguments)
+        return node
 
     def start(self) -> Self:
         """Start the process and wait until it runs."""
         with self._log.open("w") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "chachart.node.commands.node", "--config", str(self._config)],
+                [sys.executable, "-m", "chachart.node.commands.node", *self._arguments],
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 cwd=self.folder,

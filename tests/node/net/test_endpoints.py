@@ -27,3 +27,11 @@ def test_what_is_free_is_no_problem() -> None:
 def test_a_taken_port_is_a_problem() -> None:
     with zmq.Context() as context, context.socket(zmq.PUB) as socket:
         assert "in use" in bind_problems(bind(socket, "tcp://127.0.0.1:0"))[0]
+
+
+def test_a_spare_port_is_taken_instead_of_one_in_use() -> None:
+    with zmq.Context() as context, context.socket(zmq.PUB) as first, context.socket(zmq.PUB) as second:
+        taken = bind(first, "tcp://127.0.0.1:0")
+        assert bind_problems(taken, spare_ports=50) == []
+        port = int(bind(second, taken, spare_ports=50).rpartition(":")[2])
+        assert 0 < port - int(taken.rpartition(":")[2]) <= 50

@@ -13,7 +13,16 @@ import pytest
 
 from chachart.node.data.errors import RequestError, SetupError
 from chachart.sinks.metrics import Metrics, MetricsSettings
-from chachart.sinks.web.server import THREADS, WAITING_LIMIT, Answer, Query, Route, WebServer, WebSettings
+from chachart.sinks.web.server import (
+    THREADS,
+    WAITING_LIMIT,
+    Answer,
+    Query,
+    Route,
+    WebServer,
+    WebSettings,
+    port_problems,
+)
 
 TOKEN = "open-sesame-open-sesame"
 
@@ -55,6 +64,18 @@ def serving(routes: Mapping[str, Route], **settings: object) -> Iterator[Callabl
         yield get
     finally:
         server.stop()
+
+
+def test_a_spare_port_serves_where_the_port_is_taken() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        settings = WebSettings.model_validate({"type": "web", "port": port, "spare_ports": 50})
+        assert port_problems(settings) == []
+        server = WebServer(settings, {})
+        server.start()
+        assert port < server.port <= port + 50
+        server.stop()
+        assert port_problems(settings.model_copy(update={"spare_ports": 0}))
 
 
 def test_routes_by_method_and_path() -> None:
