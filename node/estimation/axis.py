@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from chachart.node.estimation import order, spectra
 from chachart.node.estimation.bounds import mvdr_excess, stochastic_std
 from chachart.node.estimation.covariance import Bank, Grouping, LagSums, forward_backward
+from chachart.node.estimation.locator import Columns
 from chachart.node.estimation.manifold import Search, UniformManifold, derivatives
 from chachart.node.estimation.options import Options
 from chachart.node.estimation.state import Slots, SlotState
@@ -20,29 +20,13 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AxisEstimate:
-    """What one axis says about U UEs.
-
-    Attributes
-    ----------
-    value, std
-        The coordinate and its standard deviation, (U,).
-    power, noise
-        (U,) per element: power of the path found, and of everything else.
-    """
-
-    value: Floats
-    std: Floats
-    power: Floats
-    noise: Floats
-
-
 class SpectralAxis(SlotState):
     """A spectral method on a manifold. Bartlett keeps 2 N real numbers a UE, the others N x N complex ones.
 
     Parameters
     ----------
+    name
+        "theta" or "rho": the column that it estimates.
     method
         One of `options.SPECTRAL`.
     manifold, step
@@ -53,6 +37,7 @@ class SpectralAxis(SlotState):
 
     def __init__(
         self,
+        name: str,
         method: str,
         manifold: UniformManifold,
         step: float | None,
@@ -60,7 +45,8 @@ class SpectralAxis(SlotState):
         options: Options,
     ) -> None:
         n = manifold.size
-        self.method, self.manifold, self.snapshots, self.options = method, manifold, snapshots, options
+        self.name, self.method, self.manifold, self.options = name, method, manifold, options
+        self.snapshots = snapshots
         self.search = Search(manifold, step, options.newton_steps)
         shape = (n,) if method == "bartlett" else (n, n)
         self._bank = Bank(shape, np.complex64, options.decay)
@@ -80,7 +66,7 @@ class SpectralAxis(SlotState):
         product: Complex = np.matmul(x, conjugate.swapaxes(1, 2))
         return product
 
-    def estimate(self, group: Grouping, features: Complex, weight: Floats, frames: Floats) -> AxisEstimate:
+    def estimate(self, group: Grouping, features: Complex, weight: Floats, frames: Floats) -> Columns:
         """Take a block's frames and estimate its UEs.
 
         Parameters
@@ -143,7 +129,7 @@ class SpectralAxis(SlotState):
             signal = order.leading(vectors, orders)
         return signal if self.method == "music" else spectra.minnorm(signal)
 
-    def _judge(self, u: Floats, total: Floats, beam: Floats, snapshots: Floats) -> AxisEstimate:
+    def _judge(self, u: Floats, total: Floats, beam: Floats, snapshots: Floats) -> Columns:
         """Power of the path at u, of the rest, and the standard deviation that follows from them.
 
         For a path in white noise `total` = tr R / N is P + sigma^2, `beam` = aᴴRa / N^2 is P + sigma^2 / N.
@@ -157,4 +143,9 @@ class SpectralAxis(SlotState):
         elif self.method == "mvdr":
             mirrored = 2 if self.options.forward_backward else 1
             u_std *= np.sqrt(mvdr_excess(n, mirrored * snapshots, power / noise, self.options.loading))
-        return AxisEstimate(self.manifold.coordinate(u), self.manifold.coordinate_std(u, u_std), power, noise)
+        return {
+            self.name: self.manifold.coordinate(u),
+            f"{self.name}_std": self.manifold.coordinate_std(u, u_std),
+            "power": power,
+            "noise": noise,
+        }

@@ -59,12 +59,6 @@ class Grouping:
     def __len__(self) -> int:
         return len(self.slots)
 
-    @property
-    def last(self) -> NDArray[np.intp]:
-        """Index of each UE's last frame in the block."""
-        last: NDArray[np.intp] = self.order[self.starts + self.counts - 1]
-        return last
-
     def sum(self, x: NDArray[Any], decay: float) -> NDArray[Any]:
         """Sum of each UE's frames of `x` (K, ...), weighted decay**(frames of that UE that follow)."""
         if self.single:
@@ -94,14 +88,22 @@ class Bank(SlotState):
         Of one UE's row.
     decay
         Weight of a frame relative to the next.
+    empty
+        What a row holds before anything is put there.
     """
 
     BY_SLOT = ("rows",)
 
-    def __init__(self, shape: tuple[int, ...], dtype: type[np.generic], decay: float) -> None:
+    def __init__(
+        self, shape: tuple[int, ...], dtype: type[np.generic], decay: float = 1.0, empty: float = 0.0
+    ) -> None:
         super().__init__()
         self.rows = np.zeros((0, *shape), dtype)
-        self.decay = decay
+        self.decay, self.empty = decay, empty
+
+    def clear(self, slots: Slots) -> None:
+        """Start `slots` afresh."""
+        self.rows[slots] = self.empty
 
     def add(self, group: Grouping, x: NDArray[Any]) -> NDArray[Any]:
         """Add a block's frames `x` (K, ...); returns the new sums of the block's UEs, (U, ...)."""

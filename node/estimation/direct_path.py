@@ -16,13 +16,13 @@ It is refined off the grid by a parabola through the logarithms, then by one New
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.estimation.locator import Columns
 from chachart.node.estimation.manifold import AngleManifold, DelayManifold
 from chachart.node.estimation.periodogram import Periodogram, Power
 
@@ -47,27 +47,6 @@ LEAST_NOISE = 1e-7
 """Of the whole power: what single precision adds."""
 FLOOR_POINTS = 256
 """About so many of the spectrum's points tell its noise."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Paths:
-    """Direct paths of U UEs, each (U,).
-
-    Attributes
-    ----------
-    theta, rho, theta_std, rho_std
-        rad and m.
-    power, noise, rest
-        Per element of a look: the path, the noise, and noise with all other paths.
-    """
-
-    theta: Floats
-    rho: Floats
-    theta_std: Floats
-    rho_std: Floats
-    power: Floats
-    noise: Floats
-    rest: Floats
 
 
 class DirectPath:
@@ -115,8 +94,12 @@ class DirectPath:
         points = len(range(0, a, stride)) * len(range(0, d, stride))
         self._doubt = 2 * 1.25 / np.sqrt(points)  # two standard deviations of a median of exponentials
 
-    def find(self, power: Power, looks: Floats) -> Paths:
-        """The direct paths in spectra (U, A, D) that average `looks` (U,) of one noise level."""
+    def find(self, power: Power, looks: Floats) -> Columns:
+        """The direct paths in spectra (U, A, D) that average `looks` (U,) of one noise level.
+
+        Beside theta, rho and their deviations there are, per element of a look, `power` of the path, `noise`
+        with all other paths, and `floor`, the noise alone.
+        """
         floor = self._floor(power, looks)
         peaks = self._peaks(power, looks, floor)
         u, v = self._parabola(power, self._select(power, peaks, floor))
@@ -135,15 +118,15 @@ class DirectPath:
         u_std, v_std = np.sqrt(error * u_var), np.sqrt(error * v_var)
         u = np.clip(_wrapped(u), self.angle.low, self.angle.high)
         v = -self._within(v, v_std)
-        return Paths(
-            self.angle.coordinate(u),
-            self.delay.coordinate(v),
-            self.angle.coordinate_std(u, u_std),
-            self.delay.coordinate_std(v, v_std),
-            path / n,
-            noise,
-            rest,
-        )
+        return {
+            "theta": self.angle.coordinate(u),
+            "rho": self.delay.coordinate(v),
+            "theta_std": self.angle.coordinate_std(u, u_std),
+            "rho_std": self.delay.coordinate_std(v, v_std),
+            "power": path / n,
+            "noise": rest,
+            "floor": noise,
+        }
 
     def _searched(self) -> NDArray[np.bool_]:
         """Grid points (A, D) where a direct path may have its maximum: up to one step out of range."""

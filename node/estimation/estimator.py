@@ -9,18 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.data.chart import ChartUpdate, Method
+from chachart.node.data.columns import COLUMNS
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.covariance import Bank, Grouping
 from chachart.node.estimation.fit import misfits
 from chachart.node.estimation.joint import JointLocator
-from chachart.node.estimation.locator import Located, Locator
+from chachart.node.estimation.locator import Columns, Locator
 from chachart.node.estimation.options import JOINT, Keywords, Options
 from chachart.node.estimation.separate import SeparateLocator
 from chachart.node.estimation.slots import SlotTable
+from chachart.node.estimation.state import SlotState
 
 SPECTRUM_POINTS = 512
+LATEST = ("theta", "rho", "theta_std", "rho_std")
+"""What is remembered of a UE's last row, to go with its spectrum."""
 LEAST_ENERGY, MOST_ENERGY = 1e-28, 1e28
 """Sum of |h|^2 of a frame that single precision can work with: covariances are multiplied with each other."""
 
@@ -66,9 +70,15 @@ class ChartEstimator:
         self.options = Options.of(**options)
         self.rejected = Counters()
         self._table = SlotTable(self.options.max_ues)
-        self._position = Bank((3,), np.float32, 1.0)
-        self._latest = Bank((4,), np.float64, 1.0)
+        self._position = Bank((3,), np.float32, empty=np.nan)
+        self._latest = {name: Bank((), np.float64, empty=np.nan) for name in LATEST}
         self._locator = self._make_locator(self.options)
+        self._kept = SlotState(
+            table=self._table,
+            position=self._position,
+            latest=SlotState(**self._latest),
+            locator=self._locator,
+        )
         self._correct = None if array.calibration is None else array.calibration.corrector()
 
     @property
@@ -91,7 +101,7 @@ class ChartEstimator:
         """
         changed = cast(Keywords, {**self.options.keywords(), "theta": theta, "rho": rho})
         options = Options.of(**changed)
-        self._locator = self._make_locator(options)
+        self._locator = self._kept.children["locator"] = self._make_locator(options)
         self.options = options
 
     def update(self, block: CsiBlock) -> ChartUpdate:
@@ -112,15 +122,17 @@ class ChartEstimator:
             if self._correct is not None:
                 block = dataclasses.replace(block, csi=self._correct(block.csi))
             features = self._locator.features(block.csi)
-            energy = self._locator.energy(features)
+            energy = features.energy
         good = (energy > LEAST_ENERGY) & (energy < MOST_ENERGY)
         if not good.all():
             self._count_rejected(energy[~good])
             if not good.any():
                 return self._nothing()
-            block, features = block.take(good), [f[good] for f in features]
+            block, features = block.take(good), features.take(good)
         assigned = self._table.assign(block.ue, block.time_ns)
-        self._make_rows(assigned.new)
+        self._kept.resize(self._table.capacity)
+        for name in ("position", "latest", "locator"):
+            self._kept.children[name].clear(assigned.new)
         group = Grouping(assigned.slots)
         position = self._remember(block, group)
         located = self._locator.estimate(group, features, position)
@@ -147,8 +159,7 @@ class ChartEstimator:
         found = None if slot < 0 else self._locator.spectrum(slot, SPECTRUM_POINTS)
         if found is None:
             return None
-        names = ("theta", "rho", "theta_std", "rho_std")
-        return found | dict(zip(names, self._latest.rows[slot].tolist(), strict=True))
+        return found | {name: float(kept.rows[slot]) for name, kept in self._latest.items()}
 
     def _make_locator(self, options: Options) -> Locator:
         for name, problem in misfits(options, self.array):
@@ -167,14 +178,6 @@ class ChartEstimator:
             if which.any():
                 self.rejected.add(reason, int(which.sum()))
 
-    def _make_rows(self, new: NDArray[np.intp]) -> None:
-        self._locator.resize(self._table.capacity)
-        self._position.resize(self._table.capacity)
-        self._latest.resize(self._table.capacity)
-        if len(new):
-            self._locator.clear(new)
-            self._position.rows[new] = np.nan
-
     def _remember(self, block: CsiBlock, group: Grouping) -> NDArray[np.float32]:
         """Last known position (U, 3) of the block's UEs."""
         rows = self._position.rows
@@ -187,47 +190,27 @@ class ChartEstimator:
         return rows[group.slots]
 
     def _published(
-        self, block: CsiBlock, group: Grouping, at: Located, position: NDArray[np.float32]
+        self, block: CsiBlock, group: Grouping, at: Columns, position: NDArray[np.float32]
     ) -> ChartUpdate:
-        x, y = self.array.chart_xy(at.theta, at.rho)
-        latest = np.empty((len(group), 4))
-        for i, column in enumerate((at.theta, at.rho, at.theta_std, at.rho_std)):
-            latest[:, i] = column
-        self._latest.rows[group.slots] = latest
+        for name, kept in self._latest.items():
+            kept.rows[group.slots] = at[name]
+        x, y = self.array.chart_xy(at["theta"], at["rho"])
         update = ChartUpdate(
-            array=block.array,
-            method=self.method,
-            ue=self._table.ues(group.slots),
-            time_ns=np.maximum.reduceat(block.time_ns[group.order], group.starts),
-            theta=at.theta,
-            rho=at.rho,
-            theta_std=at.theta_std,
-            rho_std=at.rho_std,
+            block.array,
+            self.method,
+            self._table.ues(group.slots),
+            np.maximum.reduceat(block.time_ns[group.order], group.starts),
             x=x,
             y=y,
-            snr=at.snr,
-            snapshots=at.snapshots,
             position=position,
+            **{name: values for name, values in at.items() if name in COLUMNS},
         )
-        good = np.isfinite(at.theta) & np.isfinite(at.rho)
+        good = np.isfinite(at["theta"]) & np.isfinite(at["rho"])
         if good.all():
             return update
         self.rejected.add("untrained", int((~good).sum()))
         return update.take(good)
 
     def _nothing(self) -> ChartUpdate:
-        none = np.zeros(0)
-        return ChartUpdate(
-            array=self.array.name,
-            method=self.method,
-            ue=np.zeros(0, np.uint64),
-            time_ns=np.zeros(0, np.int64),
-            theta=none,
-            rho=none,
-            theta_std=none,
-            rho_std=none,
-            x=none,
-            y=none,
-            snr=none,
-            snapshots=none,
-        )
+        needed = {column.name: column.missing(0) for column in COLUMNS.values() if not column.optional}
+        return ChartUpdate(self.array.name, self.method, **needed)

@@ -43,10 +43,8 @@ def _axis(name: str, method: str, size: int, elements: str) -> Iterator[tuple[st
     elif size < 2:
         yield name, "needs at least 2 antennas: one alone sees no direction"
     elif method != "bartlett" and size > MATRIX_LIMIT:
-        yield (
-            name,
-            f'must be "bartlett": {method} keeps {size} x {size} numbers a UE, at most {MATRIX_LIMIT} x',
-        )
+        keeps = f"{size} x {size} numbers a UE"
+        yield name, f'must be "bartlett": {method} keeps {keeps}, for up to {MATRIX_LIMIT} {elements}'
 
 
 def _joint(array: ArrayGeometry) -> Iterator[tuple[str, str]]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.covariance import Grouping, Weights
 from chachart.node.estimation.direct_path import DirectPath
-from chachart.node.estimation.locator import Located, Locator
+from chachart.node.estimation.locator import Columns, Features, Locator
 from chachart.node.estimation.options import Options
 from chachart.node.estimation.periodogram import CoherentSums, Csi, PowerSums, SpectrumState, energy
 from chachart.node.estimation.state import Slots, SlotState
@@ -54,30 +54,25 @@ class JointLocator(Locator):
     def _state(self) -> SpectrumState:
         return self._powers if self._random else self._sums
 
-    def features(self, csi: Csi) -> list[NDArray[Any]]:
+    def features(self, csi: Csi) -> Features:
         """The frames (K, N_R, N_S), or their power spectra."""
-        return [self._state.features(csi)]
+        kept = self._state.features(csi)
+        return Features(self._state.energy(kept), {"state": kept})
 
-    def energy(self, features: list[NDArray[Any]]) -> NDArray[Any]:
-        """Sum of |h|^2 of each frame (K,)."""
-        return self._state.energy(features[0])
-
-    def estimate(
-        self, group: Grouping, features: list[NDArray[Any]], position: NDArray[np.float32]
-    ) -> Located:
+    def estimate(self, group: Grouping, features: Features, position: NDArray[np.float32]) -> Columns:
         """Take a block's frames and locate its UEs; `position` is of no use here."""
         _, frames = self._weights.add(group)
-        self._state.take(group, features[0])
+        self._state.take(group, features.kept["state"])
         if self._watched and self.coherent:
-            self._watch.look(group, features[0], self._sums.bank.rows[group.slots], self._decay)
+            self._watch.look(group, features.kept["state"], self._sums.bank.rows[group.slots], self._decay)
             if not self._watch.steady:
                 known = self._weights.of(np.arange(len(self._sums.bank.rows)))[0] > 0
                 self._powers.take_over(np.flatnonzero(known), self._sums)
                 self._random = 1
         chunk = self._direct_path.periodogram.chunk
-        columns = [self._locate(group.slots[i : i + chunk]) for i in range(0, len(group), chunk)]
-        theta, rho, theta_std, rho_std, snr = np.concatenate(columns, axis=1)
-        return Located(theta, rho, theta_std, rho_std, snr, frames)
+        pieces = [self._locate(group.slots[i : i + chunk]) for i in range(0, len(group), chunk)]
+        at = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
+        return at | {"snapshots": frames}
 
     def spectrum(self, slot: int, points: int) -> dict[str, Any] | None:
         """theta_grid_rad, theta_spectrum, rho_grid_m, rho_spectrum: the maxima along the other axis."""
@@ -97,12 +92,12 @@ class JointLocator(Locator):
             "rho_spectrum": power.max(axis=0),
         }
 
-    def _locate(self, slots: Slots) -> Floats:
-        """theta, rho, theta_std, rho_std and SNR (5, U); echoes count as noise, as they do on one axis."""
+    def _locate(self, slots: Slots) -> Columns:
+        """Where the UEs are, and their SNR; echoes count as noise, as they do on one axis."""
         power, looks, gain = self._state.spectra(slots)
         at = self._direct_path.find(power, looks)
-        snr = 10 * np.log10(at.power / (at.rest + (gain - 1) * at.noise))
-        return np.stack([at.theta, at.rho, at.theta_std, at.rho_std, snr])
+        at["snr"] = 10 * np.log10(at["power"] / (at["noise"] + (gain - 1) * at["floor"]))
+        return at
 
 
 class PhaseWatch(SlotState):

@@ -1,4 +1,4 @@
-"""What estimates both coordinates, and what it says."""
+"""What estimates both coordinates: frames in, columns of chart rows out."""
 
 from __future__ import annotations
 
@@ -12,37 +12,44 @@ from numpy.typing import NDArray
 from chachart.node.estimation.covariance import Grouping
 from chachart.node.estimation.state import SlotState
 
-Floats = NDArray[np.float64]
+Columns = dict[str, NDArray[Any]]
+"""What is said of U UEs, (U, ...) each: columns of chart rows by their names, and beside them, for those who
+go on to work with them, `power` and `noise`: per element, of the path found and of everything else."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Located:
-    """theta (rad) and rho (m) of U UEs with standard deviations, SNR (dB) and effective frames, each (U,)."""
+class Features:
+    """What is kept of K frames before anybody has taken them.
 
-    theta: Floats
-    rho: Floats
-    theta_std: Floats
-    rho_std: Floats
-    snr: Floats
-    snapshots: Floats
+    Attributes
+    ----------
+    energy
+        (K,) sum of |h|^2.
+    kept
+        (K, ...) by the name of the state that will take it.
+    """
+
+    energy: NDArray[Any]
+    kept: dict[str, NDArray[Any]]
+
+    def take(self, index: NDArray[Any]) -> Features:
+        """Those of the frames that `index` picks."""
+        return Features(self.energy[index], {name: kept[index] for name, kept in self.kept.items()})
 
 
 class Locator(SlotState):
     """What `ChartEstimator` asks of an estimator of both coordinates: state by slot, estimates by block."""
 
     @abstractmethod
-    def features(self, csi: NDArray[np.complex64]) -> list[NDArray[Any]]:
-        """What is kept of each frame (K, N_R, N_S), as arrays (K, ...); nothing is remembered yet."""
+    def features(self, csi: NDArray[np.complex64]) -> Features:
+        """What is kept of each frame (K, N_R, N_S); nothing is remembered yet."""
 
     @abstractmethod
-    def energy(self, features: list[NDArray[Any]]) -> NDArray[Any]:
-        """Sum of |h|^2 of each frame (K,)."""
+    def estimate(self, group: Grouping, features: Features, position: NDArray[np.float32]) -> Columns:
+        """Take a block's frames and locate its UEs; `position` (U, 3) is NaN where unknown.
 
-    @abstractmethod
-    def estimate(
-        self, group: Grouping, features: list[NDArray[Any]], position: NDArray[np.float32]
-    ) -> Located:
-        """Take a block's frames and locate its UEs; `position` (U, 3) is NaN where unknown."""
+        There are at least theta, rho, theta_std, rho_std, snr and snapshots.
+        """
 
     @abstractmethod
     def spectrum(self, slot: int, points: int) -> dict[str, Any] | None:

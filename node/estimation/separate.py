@@ -11,7 +11,7 @@ from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.amplitude import AmplitudeSum, ranging
 from chachart.node.estimation.axis import SpectralAxis
 from chachart.node.estimation.covariance import Grouping, Weights
-from chachart.node.estimation.locator import Located, Locator
+from chachart.node.estimation.locator import Columns, Features, Locator
 from chachart.node.estimation.manifold import AngleManifold, DelayManifold
 from chachart.node.estimation.noise import NoiseFloor
 from chachart.node.estimation.options import AMPLITUDE, Options
@@ -24,7 +24,9 @@ class SeparateLocator(Locator):
 
     def __init__(self, array: ArrayGeometry, options: Options) -> None:
         step = None if options.theta_step_deg is None else np.radians(options.theta_step_deg)
-        self._theta = SpectralAxis(options.theta, AngleManifold.of(array), step, array.subcarriers, options)
+        self._theta = SpectralAxis(
+            "theta", options.theta, AngleManifold.of(array), step, array.subcarriers, options
+        )
         self._array, self._weights = array, Weights(options.decay)
         self._rho: SpectralAxis | None = None
         super().__init__(weights=self._weights, theta=self._theta)
@@ -40,36 +42,34 @@ class SeparateLocator(Locator):
             self.children |= {"amplitude": self._amplitude, "ranging": self._ranging}
         else:
             manifold = DelayManifold.of(array, options.rho_max_m)
-            self._rho = SpectralAxis(options.rho, manifold, options.rho_step_m, array.antennas, options)
+            self._rho = SpectralAxis(
+                "rho", options.rho, manifold, options.rho_step_m, array.antennas, options
+            )
             self.children["rho"] = self._rho
 
-    def features(self, csi: NDArray[np.complex64]) -> list[NDArray[Any]]:
+    def features(self, csi: NDArray[np.complex64]) -> Features:
         """Of both axes, or of the angle axis and the amplitude."""
         conjugate = csi.conj()
         theta = self._theta.of_frames(csi, conjugate)
+        energy = theta[:, 0].real if theta.ndim == 2 else np.einsum("kii->k", theta).real
         if self._rho is None:
-            return [theta, self._amplitude.of_frames(csi)]
-        return [theta, self._rho.of_frames(csi.swapaxes(1, 2), conjugate.swapaxes(1, 2))]
+            return Features(energy, {"theta": theta, "amplitude": self._amplitude.of_frames(csi)})
+        rho = self._rho.of_frames(csi.swapaxes(1, 2), conjugate.swapaxes(1, 2))
+        return Features(energy, {"theta": theta, "rho": rho})
 
-    def energy(self, features: list[NDArray[Any]]) -> NDArray[Any]:
-        """Sum of |h|^2 of each frame (K,)."""
-        theta = features[0]
-        return theta[:, 0].real if theta.ndim == 2 else np.einsum("kii->k", theta).real
-
-    def estimate(
-        self, group: Grouping, features: list[NDArray[Any]], position: NDArray[np.float32]
-    ) -> Located:
+    def estimate(self, group: Grouping, features: Features, position: NDArray[np.float32]) -> Columns:
         """Take a block's frames and locate its UEs; rho is NaN before LR has its training."""
         weight, frames = self._weights.add(group)
-        theta = self._theta.estimate(group, features[0], weight, frames)
+        at = self._theta.estimate(group, features.kept["theta"], weight, frames)
+        at["snr"] = 10 * np.log10(at["power"] / at["noise"])
+        at["snapshots"] = frames
         if self._rho is not None:
-            at = self._rho.estimate(group, features[1], weight, frames)
-            rho, rho_std = at.value, at.std
-        else:
-            s = self._amplitude.estimate(group, features[1], weight, self._signal(group, weight, frames))
-            rho, rho_std = self._ranging.ranges(group.slots, s, self._array.theta_rho(position)[1])
-        snr = 10 * np.log10(theta.power / theta.noise)
-        return Located(theta.value, rho, theta.std, rho_std, snr, frames)
+            return self._rho.estimate(group, features.kept["rho"], weight, frames) | at
+        power = self._signal(group, weight, frames)
+        s = self._amplitude.estimate(group, features.kept["amplitude"], weight, power)
+        known_rho = self._array.theta_rho(position)[1]
+        at["rho"], at["rho_std"] = self._ranging.ranges(group.slots, s, known_rho)
+        return at
 
     def _signal(self, group: Grouping, weight: Floats, frames: Floats) -> Floats:
         """Power per element of all paths together, at least what could not be told from none."""

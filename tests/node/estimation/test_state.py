@@ -11,7 +11,7 @@ from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.amplitude import Isq, Lr
 from chachart.node.estimation.covariance import Grouping
 from chachart.node.estimation.joint import JointLocator, PhaseWatch
-from chachart.node.estimation.locator import Located, Locator
+from chachart.node.estimation.locator import Columns, Locator
 from chachart.node.estimation.options import AMPLITUDE, SPECTRAL, Options
 from chachart.node.estimation.separate import SeparateLocator
 from chachart.node.estimation.slots import SlotTable
@@ -38,7 +38,7 @@ def locator(array: ArrayGeometry, options: dict[str, Any]) -> Locator:
     return made
 
 
-def take(at: Locator, block: CsiBlock, slots: np.ndarray) -> Located:
+def take(at: Locator, block: CsiBlock, slots: np.ndarray) -> Columns:
     position = np.full((len(slots), 3), np.nan, np.float32) if block.position is None else block.position
     return at.estimate(Grouping(slots), at.features(block.csi), position)
 
@@ -60,8 +60,9 @@ def test_a_locator_goes_on_from_a_snapshot_in_other_slots(
     for _ in range(2):
         block = world.block(0.0, some, phase=phase)
         a, b = take(first, block, some), take(second, block, others)
-        for column in ("theta", "rho", "theta_std", "rho_std", "snr", "snapshots"):
-            assert np.array_equal(getattr(a, column), getattr(b, column), equal_nan=True), column
+        assert a.keys() == b.keys() >= {"theta", "rho", "theta_std", "rho_std", "snr", "snapshots"}
+        for column in a:
+            assert np.array_equal(a[column], b[column], equal_nan=True), column
 
 
 def states(of: SlotState) -> Iterator[SlotState]:
