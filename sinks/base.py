@@ -8,6 +8,7 @@ slow sink never holds up the estimates; what its queue could not take is counted
 from __future__ import annotations
 
 from abc import ABC
+from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from chachart.node.data.chart import ChartUpdate
@@ -23,6 +24,10 @@ class SinkSettings(Settings):
     type: str
     """Which sink."""
 
+    def listens_on(self) -> str | None:
+        """The one endpoint that it takes for itself; None where it takes none, or any that is free."""
+        return None
+
 
 class NodeAccess(Protocol):
     """What a sink may ask of the node it belongs to; safe to call from any thread."""
@@ -36,17 +41,47 @@ class NodeAccess(Protocol):
     def quality(self) -> dict[str, Any] | None:
         """The latest quality report, or None where no reference position is known."""
 
-    def request(self, operation: str, arguments: dict[str, Any]) -> dict[str, Any]:
-        """Ask the node to do something; answers with plain values that msgpack and JSON can hold.
+    def ues(self) -> dict[str, Any]:
+        """`{"ues": [...]}`: the chart's rows, one map each."""
 
-        Operations: `status` {}, `ues` {}, `chart` {}, `spectrum` {ue}, `set_method` {theta, rho} and
-        `record` {on, path}; `chachart.node.runtime.requests` says what each answers.
+    def chart_columns(self) -> dict[str, Any]:
+        """The whole chart: the body of a chart message (protocol 1) and `geometry`, the array; or {}."""
+
+    def spectrum(self, ue: int) -> dict[str, Any]:
+        """`theta_grid_rad`, `theta_spectrum`, `rho_grid_m`, `rho_spectrum`, `theta`, `rho`, ... of one UE.
 
         Raises
         ------
         RequestError
-            If the operation or an argument is unknown, does not fit, or nobody answers in time; nothing
-            has changed then.
+            If the UE is not on the chart, or nobody answers in time.
+        """
+
+    def set_method(self, theta: str, rho: str) -> dict[str, str]:
+        """Estimate with these methods from the next block on; {theta, rho}.
+
+        Raises
+        ------
+        RequestError
+            If they are unknown or do not fit the array, which changes nothing; or if nobody answers in time:
+            should the node take the request up later, `status` says so.
+        """
+
+    def start_recording(self, path: Path) -> dict[str, Any]:
+        """Record the CSI that comes in; {on, where, received, dropped, ...}.
+
+        Raises
+        ------
+        RequestError
+            If the file cannot be written or a recording runs already; nothing has changed then.
+        """
+
+    def stop_recording(self) -> dict[str, Any]:
+        """Close the recording that `start_recording` began; {on, where, received, dropped, ...}.
+
+        Raises
+        ------
+        RequestError
+            If none runs.
         """
 
 

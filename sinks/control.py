@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from chachart.node.data.errors import RequestError, SetupError
 from chachart.node.data.geometry import ArrayGeometry
-from chachart.node.net.endpoints import Endpoint, bind, bind_problems
+from chachart.node.net.endpoints import Endpoint, bind, bind_problems, fixed
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
 from chachart.sinks.operations import Operations
 from chachart.sinks.web.access import is_loopback, same_token
@@ -45,6 +45,10 @@ class ControlSettings(SinkSettings):
         if self.token is None and not _is_local(self.endpoint):
             raise ValueError(f"token must be set to listen on {self.endpoint}, which others can reach")
         return self
+
+    def listens_on(self) -> str | None:
+        """Its endpoint, unless any free one will do."""
+        return fixed(self.endpoint)
 
 
 class Control(Sink):

@@ -4,10 +4,12 @@
     ues                             who is in the chart
     chart                           the whole chart, as columns
     spectrum   ue                   theta and rho spectra of one UE
-    method     theta, rho           estimate with these methods from now on
-    record     on, path             start (with a file name) or stop a recording of the CSI that comes in
+    set_method theta, rho           estimate with these methods from now on
+    start_recording  path           record the CSI that comes in to a file of that name
+    stop_recording                  close that recording
 
-A request that does not fit gets a `RequestError` in one line and changes nothing.
+`method` for `set_method`, and `record` with `on` and `path`, are older names of the same. A request that does
+not fit gets a `RequestError` in one line and changes nothing.
 """
 
 from __future__ import annotations
@@ -44,10 +46,19 @@ class _Spectrum(Settings):
     ue: int = Field(ge=0, lt=2**64)
 
 
-class _Method(Settings):
-    op: Literal["method"]
+class _SetMethod(Settings):
+    op: Literal["set_method", "method"]
     theta: ThetaMethod
     rho: RhoMethod
+
+
+class _StartRecording(Settings):
+    op: Literal["start_recording"]
+    path: str = Field(max_length=128, pattern=_FILE_NAME)
+
+
+class _StopRecording(Settings):
+    op: Literal["stop_recording"]
 
 
 class _Record(Settings):
@@ -62,13 +73,13 @@ class _Record(Settings):
         return self
 
 
-_Request = _Status | _Ues | _Chart | _Spectrum | _Method | _Record
+_Request = _Status | _Ues | _Chart | _Spectrum | _SetMethod | _StartRecording | _StopRecording | _Record
 _REQUESTS: TypeAdapter[_Request] = TypeAdapter(Annotated[_Request, Field(discriminator="op")])
 
 READING = ("status", "ues", "chart", "spectrum")
 """Operations that change nothing."""
-CHANGING = ("method", "record")
-"""Operations that change what the node does."""
+CHANGING = ("set_method", "start_recording", "stop_recording", "method", "record")
+"""Operations that change what the node does, under their newer and older names."""
 
 
 class Operations:
@@ -98,20 +109,25 @@ class Operations:
             asked = _REQUESTS.validate_python(dict(request))
         except ValidationError as error:
             raise RequestError(_first_mistake(error)) from None
-        arguments = asked.model_dump(exclude={"op"})
+        result: dict[str, Any] = plain(self._answer(asked))
+        return result
+
+    def _answer(self, asked: _Request) -> Mapping[str, Any]:
         match asked:
             case _Status():
-                return {**plain(self._node.status()), "quality": plain(self._node.quality())}
-            case _Method():
-                answer = self._node.request("set_method", arguments)
-            case _Record(on=True, path=str(path)):
-                answer = self._record(path)
-            case _Record():
-                answer = self._node.request("record", {"on": False, "path": None})
+                return {**self._node.status(), "quality": self._node.quality()}
+            case _Ues():
+                return self._node.ues()
+            case _Chart():
+                return self._node.chart_columns()
+            case _Spectrum():
+                return self._node.spectrum(asked.ue)
+            case _SetMethod():
+                return self._node.set_method(asked.theta, asked.rho)
+            case _StartRecording(path=str(path)) | _Record(on=True, path=str(path)):
+                return self._record(path)
             case _:
-                answer = self._node.request(asked.op, arguments)
-        result: dict[str, Any] = plain(answer)
-        return result
+                return self._node.stop_recording()
 
     def _record(self, path: str) -> dict[str, Any]:
         target = self._folder / path
@@ -119,7 +135,7 @@ class Operations:
             raise RequestError(f"{path} is there already; recordings are never overwritten")
         if not self._folder.is_dir():
             raise RequestError(f"the recording folder {self._folder} does not exist")
-        return self._node.request("record", {"on": True, "path": str(target)})
+        return self._node.start_recording(target)
 
 
 def _first_mistake(error: ValidationError) -> str:

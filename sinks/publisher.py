@@ -13,7 +13,7 @@ from pydantic import Field
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
-from chachart.node.net.endpoints import Endpoint, bind, bind_problems
+from chachart.node.net.endpoints import Endpoint, bind, bind_problems, fixed
 from chachart.node.net.wire import chart_topic, encode_chart, encode_report
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
 
@@ -31,6 +31,10 @@ class PublisherSettings(SinkSettings):
     """Where subscribers connect."""
     queue_messages: int = Field(256, ge=16, le=65536)
     """Messages that may wait for each subscriber; a slower one loses some and sees it by their numbers."""
+
+    def listens_on(self) -> str | None:
+        """Its endpoint, unless any free one will do."""
+        return fixed(self.endpoint)
 
 
 class Publisher(Sink):

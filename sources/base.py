@@ -27,6 +27,10 @@ class SourceSettings(Settings):
     type: str
     """Which source."""
 
+    def listens_on(self) -> str | None:
+        """The one endpoint that it takes for itself; None where it takes none, or any that is free."""
+        return None
+
 
 class Source(ABC):
     """Where CSI comes from.

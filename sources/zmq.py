@@ -14,7 +14,7 @@ from pydantic import Field
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
-from chachart.node.net.endpoints import Endpoint, bind, bind_problems
+from chachart.node.net.endpoints import Endpoint, bind, bind_problems, fixed
 from chachart.node.net.wire import WireError, decode_csi
 from chachart.sources.base import Source, SourceSettings
 from chachart.sources.checks import usable
@@ -39,6 +39,10 @@ class ZmqSettings(SourceSettings):
     """Blocks that may wait in the socket, for each producer."""
     max_message_bytes: int = Field(16 * 1024 * 1024, ge=1024, le=256 * 1024 * 1024)
     """A producer that sends a longer message is disconnected."""
+
+    def listens_on(self) -> str | None:
+        """Its endpoint, unless any free one will do."""
+        return fixed(self.endpoint)
 
 
 class ZmqSource(Source):

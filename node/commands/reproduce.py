@@ -45,7 +45,7 @@ NEIGHBOURS_SHARE = 0.05
 WIDE_HZ = 10e6
 """The errors of rho are shown at the chosen bandwidth and at this one."""
 
-Told = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -115,11 +115,12 @@ def run(arguments: argparse.Namespace) -> int:
     total = a_channel * len(arguments.channels)
     total += len(arrays) * len(accuracy.SNRS_DB) if arguments.paths else 0
     try:
-        with threadpool_limits(1), steps(total + 1) as told:
+        with threadpool_limits(1), steps(total + 1) as progress:
             channels = [
-                _channel(name, recorded.get(name), arguments, options, told) for name in arguments.channels
+                _channel(name, recorded.get(name), arguments, options, progress)
+                for name in arguments.channels
             ]
-            measured = _accuracy(arrays, arguments, options, told) if arguments.paths else []
+            measured = _accuracy(arrays, arguments, options, progress) if arguments.paths else []
             results = Results(
                 command=shlex.join(["chachart", *sys.argv[1:]]),
                 settings=_settings(arguments, recorded),
@@ -129,7 +130,7 @@ def run(arguments: argparse.Namespace) -> int:
                 accuracy=measured,
             )
             written = _write(arguments.out, results)
-            told("report")
+            progress("report")
     except OSError as error:
         raise SetupError(f"{error.filename or arguments.out} cannot be written: {error.strerror}") from None
     _print(channels)
@@ -142,7 +143,7 @@ def _channel(
     recording: Path | None,
     arguments: argparse.Namespace,
     options: dict[str, Any],
-    told: Told,
+    progress: Progress,
 ) -> ChannelResults:
     draw = (arguments.ues, arguments.frames, arguments.snr_db, arguments.seed)
     if recording is None:
@@ -152,7 +153,7 @@ def _channel(
     if len(scene.position) < FEWEST_UES:
         raise SetupError(f"{recording} has {len(scene.position)} UEs: at least {FEWEST_UES} are needed")
     label = WRITTEN[name]
-    told(f"{label}: {len(scene.position)} channels")
+    progress(f"{label}: {len(scene.position)} channels")
     truth = scene.truth
     ranks = neighbour_ranks(truth)
     k = max(round(NEIGHBOURS_SHARE * len(truth)), 1)
@@ -162,19 +163,19 @@ def _channel(
         for pair in arguments.pairs:
             charts[pair], seconds = _estimate(scene, pair, options)
             spent[pair].append(seconds)
-            told(f"{label}, run {turn + 1}: {runs.display(pair)} {seconds.processor:.3f} s")
+            progress(f"{label}, run {turn + 1}: {runs.display(pair)} {seconds.processor:.3f} s")
     charted = []
     for pair in arguments.pairs:
         judged = runs.judge_pair(scene, pair, charts[pair], ranks, k)
         judged.seconds = [one.processor for one in spent[pair]]
         judged.clock_seconds = [one.clock for one in spent[pair]]
         charted.append(judged)
-        told(f"{label}: {judged.name} TW {judged.tw[-1]:.4f} CT {judged.ct[-1]:.4f}")
+        progress(f"{label}: {judged.name} TW {judged.tw[-1]:.4f} CT {judged.ct[-1]:.4f}")
     embedded = []
     for judged in _embedded(scene, ranks, k):
         embedded.append(judged)
-        told(f"{label}: {judged.name} TW {judged.tw[-1]:.4f} CT {judged.ct[-1]:.4f}")
-    ranged = list(ranging.compare(scene, k, lambda words: told(f"{label}: {words}")))
+        progress(f"{label}: {judged.name} TW {judged.tw[-1]:.4f} CT {judged.ct[-1]:.4f}")
+    ranged = list(ranging.compare(scene, k, lambda words: progress(f"{label}: {words}")))
     return ChannelResults(name, scene.origin, truth, arguments.pairs, charted, embedded, ranged)
 
 
@@ -199,14 +200,14 @@ def _embedded(scene: scenario.Scene, ranks: Ranks, k: int) -> Iterator[runs.Char
 
 
 def _accuracy(
-    arrays: Sequence[Any], arguments: argparse.Namespace, options: dict[str, Any], told: Told
+    arrays: Sequence[Any], arguments: argparse.Namespace, options: dict[str, Any], progress: Progress
 ) -> list[accuracy.Accuracy]:
     used = {method for pair in arguments.pairs for method in pair}
     methods = tuple(method for method in accuracy.METHODS if method in used)
     found: list[accuracy.Accuracy] = []
     for n, array in enumerate(arrays):
         theta, rho = accuracy.measure(
-            array, methods, arguments.paths, arguments.frames, arguments.seed, options, told
+            array, methods, arguments.paths, arguments.frames, arguments.seed, options, progress
         )
         found += [theta, rho] if n == 0 else [rho]
     return found

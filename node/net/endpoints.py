@@ -66,6 +66,11 @@ def bind_problems(endpoint: str, spare_ports: int = 0) -> list[str]:
     return []
 
 
+def fixed(endpoint: str) -> str | None:
+    """The endpoint, or None where its port is any that is free."""
+    return None if endpoint.endswith((":0", ":*")) else endpoint
+
+
 def _port_exists(endpoint: str) -> bool:
     """Whether a `tcp://` port fits into 16 bits: ZeroMQ itself would take the rest of a larger number."""
     port = endpoint.rpartition(":")[2]

@@ -7,7 +7,7 @@ import threading
 from typing import Any
 
 from chachart.config.registry import sink_class
-from chachart.node.data.errors import SetupError
+from chachart.node.data.errors import RequestError, SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.runtime.reader import Reader
 from chachart.node.runtime.sink_thread import SinkThread
@@ -37,6 +37,7 @@ class CsiSinks:
         self._array = array
         self._lossless = lossless
         self._recording: SinkThread | None = None
+        self._closed = False
         self._lock = threading.Lock()
 
     def add(self, cls: type[Sink], settings: dict[str, Any]) -> SinkThread:
@@ -54,37 +55,53 @@ class CsiSinks:
         log.info("%s: %s", thread.name, thread.sink.where())
         return thread
 
-    def record(self, arguments: dict[str, Any]) -> dict[str, Any]:
-        """Start ({on: true, path}) or stop ({on: false}) a recording; {result} or {error}."""
+    def start_recording(self, path: str) -> dict[str, Any]:
+        """Record to that file from now on; gives what `recorder` tells about itself.
+
+        Raises
+        ------
+        RequestError
+            If a recording runs already, nothing more is read, or the file cannot be written.
+        """
         with self._lock:
-            recording = self._recording
-            if not arguments["on"]:
-                if recording is None:
-                    return {"error": "no recording is running"}
-                self._recording = None
-                self._reader.sinks = tuple(s for s in self._reader.sinks if s is not recording)
-                recording.close(STOP_WITHIN_S)
-                return {"result": {"on": False, **recording.status()}}
-            if recording is not None:
-                return {"error": f"already recording to {recording.sink.where()}"}
+            if self._closed:
+                raise RequestError("the node is draining: there is nothing more to record")
+            if self._recording is not None:
+                raise RequestError(f"already recording to {self._recording.sink.where()}")
             try:
-                self._recording = self.add(
-                    sink_class("recorder"), {"type": "recorder", "path": arguments["path"]}
-                )
+                self._recording = self.add(sink_class("recorder"), {"type": "recorder", "path": path})
             except (SetupError, ValueError) as error:
-                return {"error": str(error).splitlines()[0]}
-            return {"result": {"on": True, **self._recording.status()}}
+                raise RequestError(str(error).splitlines()[0]) from None
+            return {"on": True, **self._recording.status()}
+
+    def stop_recording(self) -> dict[str, Any]:
+        """Close the recording that `start_recording` began.
+
+        Raises
+        ------
+        RequestError
+            If none runs.
+        """
+        with self._lock:
+            recording, self._recording = self._recording, None
+            if recording is None:
+                raise RequestError("no recording is running")
+            self._reader.sinks = tuple(s for s in self._reader.sinks if s is not recording)
+            recording.close(STOP_WITHIN_S)
+            return {"on": False, **recording.status()}
 
     def status(self) -> list[dict[str, Any]]:
         """Counts for the node's status report."""
         return [sink.status() for sink in self._reader.sinks]
 
     def recording(self) -> str | None:
-        """Where a recording started by `record` goes, if one runs."""
+        """Where a recording started by request goes, if one runs."""
         recording = self._recording
         return None if recording is None else recording.sink.where()
 
     def close(self, timeout: float) -> None:
-        """Let all sinks finish what waits, within `timeout` seconds each, and close them."""
+        """Let all sinks finish what waits, within `timeout` seconds each, and close them; none is added."""
+        with self._lock:
+            self._closed = True
         for sink in self._reader.sinks:
             sink.close(timeout)

@@ -5,21 +5,23 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.errors import SetupError
 from chachart.node.runtime import messages
-from chachart.node.runtime.charts import Charts
 from chachart.node.runtime.child import Child
+from chachart.node.runtime.collector import Collector
 from chachart.node.runtime.launch import Launcher
 from chachart.node.runtime.links import Links
 from chachart.node.runtime.plan import Plan
 from chachart.node.runtime.quality_watch import QualityWatch
-from chachart.node.runtime.requests import PendingRequests, chart_columns, ue_list, validate
+from chachart.node.runtime.requests import PendingRequests, chart_columns, checked_method, ue_list
 from chachart.node.runtime.sink_thread import SinkThread
 from chachart.node.runtime.status import NodeStatus, Rates, summary
-from chachart.node.runtime.supervisor import Supervisor
+from chachart.node.runtime.supervisor import SupervisedChild, Supervisor
 
 log = logging.getLogger(__name__)
 
@@ -50,16 +52,19 @@ class Node:
         self._plan = plan
         self._links = Links()
         self._launch = Launcher(plan, self._links, log_level)
-        self._charts = Charts(plan.estimator)
+        self._collector = Collector(plan.estimator)
         self._quality = QualityWatch(
             plan.quality,
             self.chart,
-            lambda report: self._charts.report("quality", report),
+            lambda report: self._collector.report("quality", report),
             self._launch.quality,
             self._links.endpoints["quality"],
         )
         self._pending = PendingRequests(lambda values: self._links.command(messages.REQUEST, values))
-        self._supervisor = Supervisor(plan.workers.count, self._launch.worker, self._worker_died)
+        self._workers = Supervisor(
+            SupervisedChild(f"worker {s}", partial(self._launch.worker, s), partial(self._worker_died, s))
+            for s in range(plan.workers.count)
+        )
         self._feeder: Child | None = None
         self._method: dict[str, str] = {"theta": plan.estimator.theta, "rho": plan.estimator.rho}
         self._state = "starting"
@@ -85,12 +90,12 @@ class Node:
         """
         try:
             self._feeder = self._launch.feeder()
-            self._supervisor.check()
+            self._workers.check()
             for sink_class, settings in self._plan.sinks:
                 if not sink_class.wants_csi:
                     sink = SinkThread(sink_class(settings, self._plan.array), settings.type, SINK_QUEUE)
                     sink.open(self)
-                    self._charts.sinks.append(sink)
+                    self._collector.sinks.append(sink)
             self._thread.start()
             if not self._ready.wait(START_WITHIN_S):
                 source = self._plan.source_settings.type
@@ -123,12 +128,12 @@ class Node:
 
     def addresses(self) -> list[tuple[str, str]]:
         """Where a person finds what the chart's sinks give, by sink."""
-        places = ((sink.name, sink.sink.where()) for sink in self._charts.sinks)
+        places = ((sink.name, sink.sink.where()) for sink in self._collector.sinks)
         return [(name, where) for name, where in places if where]
 
     def kill(self) -> None:
         """End all child processes at once; a node that is killed leaves no summary."""
-        self._supervisor.kill()
+        self._workers.kill()
         self._quality.kill()
         if self._feeder is not None:
             self._feeder.kill()
@@ -140,14 +145,14 @@ class Node:
         self._quality.finish()
         self._state = "stopped"
         self._update_status()
-        self._charts.report("status", self._status)
+        self._collector.report("status", self._status)
         self._close_parts()
         self._update_status()
-        return summary(self._status, self._charts.latency.percentiles_ms())
+        return summary(self._status, self._collector.latency.percentiles_ms())
 
     def chart(self) -> ChartUpdate | None:
         """See `NodeAccess`."""
-        return self._charts.table.chart()
+        return self._collector.table.chart()
 
     def status(self) -> dict[str, Any]:
         """See `NodeAccess`."""
@@ -157,20 +162,29 @@ class Node:
         """See `NodeAccess`."""
         return self._quality.latest
 
-    def request(self, operation: str, arguments: dict[str, Any]) -> dict[str, Any]:
-        """See `NodeAccess` and `chachart.node.runtime.requests`."""
-        arguments = validate(self._plan, self._method, operation, arguments)
-        if operation == "status":
-            return self.status()
-        if operation == "ues":
-            return ue_list(self.chart())
-        if operation == "chart":
-            return chart_columns(self.chart(), self._plan.array)
-        result = self._pending.ask(operation, arguments)
-        if operation == "set_method":
-            self._method = result
-            log.info("theta by %s, rho by %s from now on", result["theta"], result["rho"])
-        return result
+    def ues(self) -> dict[str, Any]:
+        """See `NodeAccess`."""
+        return ue_list(self.chart())
+
+    def chart_columns(self) -> dict[str, Any]:
+        """See `NodeAccess`."""
+        return chart_columns(self.chart(), self._plan.array)
+
+    def spectrum(self, ue: int) -> dict[str, Any]:
+        """See `NodeAccess`."""
+        return self._pending.ask("spectrum", {"ue": ue})
+
+    def set_method(self, theta: str, rho: str) -> dict[str, str]:
+        """See `NodeAccess`."""
+        return self._pending.ask("set_method", checked_method(self._plan, theta, rho))
+
+    def start_recording(self, path: Path) -> dict[str, Any]:
+        """See `NodeAccess`."""
+        return self._pending.ask("start_recording", {"path": str(path)})
+
+    def stop_recording(self) -> dict[str, Any]:
+        """See `NodeAccess`."""
+        return self._pending.ask("stop_recording", {})
 
     def _run(self) -> None:
         try:
@@ -188,21 +202,22 @@ class Node:
             now = time.monotonic()
             if now >= next_status:
                 next_status = now + STATUS_EVERY_S
-                self._charts.tick()
+                self._collector.tick()
                 self._update_status()
-                self._charts.report("status", self._status)
+                self._collector.report("status", self._status)
 
     def _handle(self, kind: bytes, values: dict[str, Any], rest: list[bytes]) -> None:
         if kind == messages.UPDATE:
-            self._charts.take(messages.unpack_update(rest[0]), values["arrivals"])
+            self._collector.take(messages.unpack_update(rest[0]), values["arrivals"])
         elif kind == messages.STATUS:
-            self._fed = values
+            self._take_status(values)
         elif kind == messages.REPLY:
+            self._update_status()
             self._pending.answer(values)
         elif kind == messages.HELLO:
-            self._supervisor.hello(values["shard"])
+            self._workers.children[values["shard"]].is_up()
         elif kind == messages.READY:
-            self._charts.clock.live = not values["lossless"]
+            self._collector.clock.live = not values["lossless"]
             self._ready.set()
         elif kind == messages.STARTED:
             self._started_at = time.monotonic()
@@ -212,14 +227,20 @@ class Node:
             self._setup_error = values["message"]
             self._give_up(values["message"])
         elif kind == messages.DRAINED:
-            self._fed = values
+            self._take_status(values)
             self.failure = self.failure or values["failure"]
             self._end()
+
+    def _take_status(self, values: dict[str, Any]) -> None:
+        if (method := values["method"]) != self._method:
+            self._method = method
+            log.info("theta by %s, rho by %s from now on", method["theta"], method["rho"])
+        self._fed = values
 
     def _look_after_children(self) -> None:
         if self._finished.is_set() or self._feeder is None:
             return
-        if (reason := self._supervisor.check()) is not None:
+        if (reason := self._workers.check()) is not None:
             self._give_up(reason)
         elif (code := self._feeder.exit_code()) is not None:
             for kind, body, *rest in self._links.receive(LOOP_S):
@@ -239,7 +260,7 @@ class Node:
             fed["dropped"] = {**fed["dropped"], "node_failed": lost}
         if self._feeder is not None:
             self._feeder.kill()
-        self._supervisor.kill()
+        self._workers.kill()
         self._end()
 
     def _end(self) -> None:
@@ -253,20 +274,22 @@ class Node:
         return self._seconds or time.monotonic() - self._started_at
 
     def _update_status(self) -> None:
-        fed, table = self._fed, self._charts.table
+        fed, table = self._fed, self._collector.table
         frames_in, estimated = fed.get("frames_in", 0), fed.get("frames_estimated", 0)
         rates = self._rates.add(time.monotonic(), frames_in, estimated)
-        empty: list[dict[str, Any]] = [{} for _ in self._supervisor.posts]
+        empty: list[dict[str, Any]] = [{} for _ in self._workers.children]
         workers = [
-            {"shard": post.shard, "restarts": post.restarts, "pid": None, "ues": 0, **worker}
-            for post, worker in zip(self._supervisor.posts, fed.get("workers", empty), strict=True)
+            {"shard": shard, "restarts": child.restarts, "pid": None, "ues": 0, **worker}
+            for shard, (child, worker) in enumerate(
+                zip(self._workers.children, fed.get("workers", empty), strict=True)
+            )
         ]
         self._status = NodeStatus(
             state=self._state,
             array=self._plan.array.name,
             source=self._plan.source_settings.type,
             method=self._method,
-            lossless=not self._charts.clock.live,
+            lossless=not self._collector.clock.live,
             seconds=self._run_time(),
             blocks_in=fed.get("blocks_in", 0),
             frames_in=frames_in,
@@ -281,21 +304,21 @@ class Node:
             ues=len(table),
             ues_evicted=table.evicted,
             ues_forgotten=table.forgotten,
-            latency_ms=self._charts.recent_latency_ms(),
-            latency_histogram=self._charts.latency.histogram(),
+            latency_ms=self._collector.recent_latency_ms(),
+            latency_histogram=self._collector.latency.histogram(),
             quality=self._quality.latest,
             workers=workers,
-            sinks=[sink.status() for sink in self._charts.sinks] + fed.get("csi_sinks", []),
+            sinks=[sink.status() for sink in self._collector.sinks] + fed.get("csi_sinks", []),
             recording=fed.get("recording"),
             source_details=fed.get("source", {}),
         ).as_dict()
 
     def _close_parts(self) -> None:
-        for sink in self._charts.sinks:
+        for sink in self._collector.sinks:
             sink.close(CLOSE_WITHIN_S)
         if self._feeder is not None:
             self._feeder.close(CLOSE_WITHIN_S)
-        self._supervisor.close(WORKERS_CLOSE_WITHIN_S)
+        self._workers.close(WORKERS_CLOSE_WITHIN_S)
         if self._thread.ident is not None:
             self._thread.join()
         self._links.close()

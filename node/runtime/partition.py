@@ -12,7 +12,7 @@ from chachart.node.data.csi import CsiBlock
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Piece:
+class ShardBlock:
     """A block for one shard, and when its frames came in: (monotonic seconds, frames), first ones first."""
 
     shard: int
@@ -49,20 +49,20 @@ class Partitioner:
         self._linger = linger_s
         self._pending = [_Pending() for _ in range(shards)]
 
-    def add(self, block: CsiBlock, now: float) -> list[Piece]:
+    def add(self, block: CsiBlock, now: float) -> list[ShardBlock]:
         """Take a block that came in at `now`; gives the blocks that are full."""
         if self._shards == 1:
             return list(self._extend(0, block, now))
         shard = shard_of(block.ue, self._shards)
         order = np.argsort(shard, kind="stable")
         ends = np.searchsorted(shard[order], np.arange(self._shards + 1))
-        pieces: list[Piece] = []
+        full: list[ShardBlock] = []
         for s in range(self._shards):
             if ends[s] < ends[s + 1]:
-                pieces += self._extend(s, block.take(order[ends[s] : ends[s + 1]]), now)
-        return pieces
+                full += self._extend(s, block.take(order[ends[s] : ends[s + 1]]), now)
+        return full
 
-    def due(self, now: float) -> list[Piece]:
+    def due(self, now: float) -> list[ShardBlock]:
         """The blocks whose first frame has waited long enough at `now`."""
         return [
             self._emit(s)
@@ -75,11 +75,11 @@ class Partitioner:
         arrivals = [p.arrivals[0][0] for p in self._pending if p.frames]
         return min(arrivals) + self._linger if arrivals else None
 
-    def flush(self) -> list[Piece]:
+    def flush(self) -> list[ShardBlock]:
         """Everything that waits, now."""
         return [self._emit(s) for s, pending in enumerate(self._pending) if pending.frames]
 
-    def _extend(self, shard: int, block: CsiBlock, now: float) -> Iterator[Piece]:
+    def _extend(self, shard: int, block: CsiBlock, now: float) -> Iterator[ShardBlock]:
         start = 0
         while start < len(block):
             pending = self._pending[shard]
@@ -91,7 +91,7 @@ class Partitioner:
             if pending.frames == self._block_frames:
                 yield self._emit(shard)
 
-    def _emit(self, shard: int) -> Piece:
+    def _emit(self, shard: int) -> ShardBlock:
         pending = self._pending[shard]
         self._pending[shard] = _Pending()
-        return Piece(shard, CsiBlock.concatenate(pending.blocks), tuple(pending.arrivals))
+        return ShardBlock(shard, CsiBlock.concatenate(pending.blocks), tuple(pending.arrivals))

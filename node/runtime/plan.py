@@ -75,7 +75,7 @@ class Plan:
         parts: list[SourceSettings | SinkSettings] = [self.source_settings]
         parts += [settings for _, settings in self.sinks]
         for part in parts:
-            endpoint = _listens_on(part)
+            endpoint = part.listens_on()
             if endpoint in taken:
                 yield f'"{taken[endpoint]}" and "{part.type}" cannot both listen on {endpoint}'
             elif endpoint is not None:
@@ -129,14 +129,6 @@ def resolve_array(
     if carried is not None and array.calibration is None:
         array = replace(array, calibration=carried.calibration)
     return array
-
-
-def _listens_on(settings: SourceSettings | SinkSettings) -> str | None:
-    """The one endpoint that this source or sink takes; None where it takes none, or any that is free."""
-    endpoint: str | None = getattr(settings, "endpoint", None)
-    if endpoint is None and hasattr(settings, "host"):
-        endpoint = f"tcp://{settings.host}:{getattr(settings, 'port', 0)}"
-    return None if endpoint is None or endpoint.endswith((":0", ":*")) else endpoint
 
 
 def check(settings: NodeSettings) -> list[str]:

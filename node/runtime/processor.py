@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.chart import ChartUpdate, Method
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import RequestError
 from chachart.node.data.geometry import ArrayGeometry
@@ -89,10 +89,11 @@ class BlockProcessor:
         """UEs that the estimator holds."""
         return self._estimator.ues
 
-    def process(self, block: CsiBlock) -> Outcome:
-        """Estimate; the update has one row for each UE of the block of which a frame could be used."""
+    def process(self, block: CsiBlock, theta: str, rho: str) -> Outcome:
+        """Estimate with these methods: one row for each UE of which a frame could be used."""
         self.clock.see(int(block.time_ns.max()))
         try:
+            self.set_method(theta, rho)
             update = self._estimator.update(block)
         except Exception:
             log.exception("a block of %d frames could not be estimated", len(block))
@@ -118,26 +119,29 @@ class BlockProcessor:
         new = {reason: n - before.get(reason, 0) for reason, n in self._rejected.items()}
         return {reason: n for reason, n in new.items() if n}
 
-    def request(self, operation: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        """`spectrum` {ue} or `set_method` {theta, rho}.
+    def set_method(self, theta: str, rho: str) -> None:
+        """Estimate with these methods from now on, if it is not what is done already.
+
+        Raises
+        ------
+        ValueError
+            If they do not fit; nothing has changed then.
+        """
+        if self._estimator.method != Method(theta, rho):
+            self._estimator.set_method(theta, rho)
+
+    def spectrum(self, ue: int) -> dict[str, Any]:
+        """See `NodeAccess`.
 
         Raises
         ------
         RequestError
-            If the UE or the operation is unknown, or the methods do not fit.
+            If the UE is not on the chart.
         """
-        if operation == "spectrum":
-            spectrum = self._estimator.spectrum(int(arguments["ue"]))
-            if spectrum is None:
-                raise RequestError(f"UE {arguments['ue']} is not on the chart")
-            return {key: _plain(value) for key, value in spectrum.items()}
-        if operation == "set_method":
-            try:
-                self._estimator.set_method(arguments["theta"], arguments["rho"])
-            except ValueError as error:
-                raise RequestError(str(error)) from None
-            return {"theta": arguments["theta"], "rho": arguments["rho"]}
-        raise RequestError(f"a worker knows no operation {operation!r}")
+        spectrum = self._estimator.spectrum(ue)
+        if spectrum is None:
+            raise RequestError(f"UE {ue} is not on the chart")
+        return {key: _plain(value) for key, value in spectrum.items()}
 
 
 def _plain(value: Any) -> Any:

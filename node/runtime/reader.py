@@ -9,8 +9,8 @@ from typing import Any
 
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
-from chachart.node.runtime.lanes import Lanes
-from chachart.node.runtime.partition import Partitioner, Piece
+from chachart.node.runtime.partition import Partitioner, ShardBlock
+from chachart.node.runtime.shard_queues import ShardQueues
 from chachart.node.runtime.sink_thread import SinkThread
 from chachart.sources.base import EndOfSource, Source
 
@@ -36,7 +36,7 @@ class Reader:
         Why the source failed, where it did.
     """
 
-    def __init__(self, source: Source, partitioner: Partitioner, lanes: Lanes) -> None:
+    def __init__(self, source: Source, partitioner: Partitioner, queues: ShardQueues) -> None:
         self.frames_in = 0
         self.blocks_in = 0
         self.rejected = Counters()
@@ -45,7 +45,7 @@ class Reader:
         self.sinks: tuple[SinkThread, ...] = ()
         self._source = source
         self._partitioner = partitioner
-        self._lanes = lanes
+        self._queues = queues
         self._expected: int | None = None
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="reader", daemon=True)
@@ -117,6 +117,6 @@ class Reader:
         self.blocks_in += 1
         return True
 
-    def _pass_on(self, pieces: list[Piece]) -> None:
-        for piece in pieces:
-            self._lanes.put(piece)
+    def _pass_on(self, contents: list[ShardBlock]) -> None:
+        for content in contents:
+            self._queues.put(content)

@@ -1,6 +1,5 @@
-"""What a running node can be asked to do.
+"""Requests on their way through a running node, and the answers that the main process gives itself.
 
-========== ============ ==================================================================================
 operation  arguments    answer
 ========== ============ ==================================================================================
 status                  `chachart.node.runtime.status.NodeStatus`
@@ -10,6 +9,9 @@ spectrum   ue           {theta_grid_rad, theta_spectrum, rho_grid_m, rho_spectru
 set_method theta, rho   {theta, rho}; holds from the next block on, no frame is lost
 record     on, path     {on, where, received, dropped}; path is needed to start, not to stop
 ========== ============ ==================================================================================
+=======
+What can be asked, and what it answers, is `chachart.sinks.base.NodeAccess`; `set_method`, `spectrum`,
+`start_recording` and `stop_recording` go on to the dispatcher, `spectrum` to the worker that has the UE.
 """
 
 from __future__ import annotations
@@ -31,62 +33,30 @@ from chachart.node.runtime.plan import Plan, estimator_problems
 
 TIMEOUT_S = 5.0
 
-Arguments = dict[str, Any]
-_ARGUMENTS = {
-    "status": (),
-    "ues": (),
-    "chart": (),
-    "spectrum": ("ue",),
-    "set_method": ("theta", "rho"),
-    "record": ("on", "path"),
-}
 
-
-def validate(plan: Plan, method: dict[str, str], operation: str, arguments: Arguments) -> Arguments:
-    """The arguments, complete and of the right kinds; `method` is the one in use.
+def checked_method(plan: Plan, theta: str, rho: str) -> dict[str, Any]:
+    """{theta, rho}, if the array can be charted with them.
 
     Raises
     ------
     RequestError
-        If the operation or an argument is unknown, missing or does not fit.
+        If not.
     """
-    if operation not in _ARGUMENTS:
-        raise RequestError(f"there is no operation {operation!r}, only {', '.join(_ARGUMENTS)}")
-    known = _ARGUMENTS[operation]
-    if unknown := sorted(set(arguments) - set(known)):
-        takes = ", ".join(known) or "no arguments"
-        raise RequestError(f"{operation} takes {takes}, not {', '.join(unknown)}")
-    if operation == "spectrum":
-        ue = arguments.get("ue")
-        if type(ue) is not int or not 0 <= ue < 2**64:
-            raise RequestError(f"ue must be a whole number below 2**64, not {ue!r}"[:200])
-    elif operation == "set_method":
-        return _methods(plan, {**method, **arguments})
-    elif operation == "record":
-        on, path = arguments.get("on"), arguments.get("path")
-        if type(on) is not bool:
-            raise RequestError(f"on must be true or false, not {on!r}"[:200])
-        if on and (type(path) is not str or not path):
-            raise RequestError(f"path must name the file to record to, not {path!r}"[:200])
-    return arguments
-
-
-def _methods(plan: Plan, arguments: Arguments) -> Arguments:
-    wanted = {**plan.estimator.model_dump(), **arguments}
     try:
-        estimator = type(plan.estimator).model_validate(wanted)
+        estimator = type(plan.estimator).model_validate(
+            {**plan.estimator.model_dump(), "theta": theta, "rho": rho}
+        )
     except ValidationError as error:
         first = error.errors()[0]
-        raise RequestError(
-            f"{'.'.join(map(str, first['loc']))} = {first['input']!r}: {first['msg']}"[:300]
-        ) from None
+        where = ".".join(map(str, first["loc"]))
+        raise RequestError(f"{where} = {first['input']!r}: {first['msg']}"[:300]) from None
     if problems := estimator_problems(plan.array, estimator):
         raise RequestError(problems[0])
-    return {"theta": estimator.theta, "rho": estimator.rho}
+    return {"theta": theta, "rho": rho}
 
 
 def ue_list(chart: ChartUpdate | None) -> dict[str, Any]:
-    """The answer to `ues`."""
+    """See `NodeAccess.ues`."""
     if chart is None:
         return {"ues": []}
     rows = zip(*(values.tolist() for values in chart.columns.values()), strict=True)
@@ -94,7 +64,7 @@ def ue_list(chart: ChartUpdate | None) -> dict[str, Any]:
 
 
 def chart_columns(chart: ChartUpdate | None, array: ArrayGeometry) -> dict[str, Any]:
-    """The answer to `chart`: what subscribers get, as a map, and `geometry`, the description of the array."""
+    """See `NodeAccess.chart_columns`."""
     if chart is None:
         return {}
     body: dict[str, Any] = msgpack.unpackb(encode_chart(chart, 0))
@@ -116,7 +86,7 @@ class PendingRequests:
         self._waiting: dict[int, Future[dict[str, Any]]] = {}
         self._lock = threading.Lock()
 
-    def ask(self, operation: str, arguments: Arguments) -> dict[str, Any]:
+    def ask(self, operation: str, arguments: dict[str, Any]) -> dict[str, Any]:
         """Send the request and wait for its answer.
 
         Raises
@@ -132,7 +102,7 @@ class PendingRequests:
             self._send({"id": number, "operation": operation, "arguments": arguments})
             answer = future.result(TIMEOUT_S)
         except TimeoutError:
-            raise RequestError(f"{operation} was not answered within {TIMEOUT_S:.0f} s") from None
+            raise RequestError(f"{operation} was not answered within {TIMEOUT_S:g} s") from None
         finally:
             with self._lock:
                 del self._waiting[number]

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from chachart.node.data.counters import Counters
-from chachart.node.runtime.partition import Piece
+from chachart.node.runtime.partition import ShardBlock
 
 MAX_DEATHS = 3
 """A block whose worker died so often while it was first in line is dropped, not sent again."""
@@ -20,10 +20,15 @@ MAX_DEATHS = 3
 
 @dataclass(slots=True, eq=False)
 class Entry:
-    """A block on its way: `seq` numbers the blocks of a shard in the order they were first sent."""
+    """A block on its way.
 
-    piece: Piece
+    `seq` numbers the blocks of a shard in the order they were first sent, `method` (theta, rho) is what they
+    were first sent to be estimated with: it stays with the block, however often that is sent.
+    """
+
+    content: ShardBlock
     seq: int = -1
+    method: tuple[str, str] | None = None
     deaths: int = 0
 
 
@@ -62,14 +67,14 @@ class ShardQueue:
         """Blocks that wait or are unacknowledged."""
         return len(self._waiting) + len(self._unacknowledged)
 
-    def put(self, piece: Piece) -> None:
+    def put(self, content: ShardBlock) -> None:
         """Add a block; a live queue that is full drops its oldest and counts it as `queue_full`."""
         if self.full and not self._lossless:
             self._drop(self._waiting.popleft(), "queue_full")
-        self._waiting.append(Entry(piece))
-        self.frames_held += len(piece.block)
+        self._waiting.append(Entry(content))
+        self.frames_held += len(content.block)
 
-    def next_to_send(self) -> Entry | None:
+    def next_to_send(self, method: tuple[str, str]) -> Entry | None:
         """The next block for the worker, from now on unacknowledged; None without block or credit."""
         if not self._waiting or len(self._unacknowledged) >= self._credit:
             return None
@@ -77,18 +82,21 @@ class ShardQueue:
         if entry.seq < 0:
             entry.seq = self._next_seq
             self._next_seq += 1
+            entry.method = method
         self._unacknowledged[entry.seq] = entry
         return entry
 
-    def acknowledge(self, seqs: Sequence[int], estimated: int, dropped: Mapping[str, int]) -> list[Piece]:
+    def acknowledge(
+        self, seqs: Sequence[int], estimated: int, dropped: Mapping[str, int]
+    ) -> list[ShardBlock]:
         """The worker is done with the blocks `seqs`; nothing happens if one is not (or no longer) its own."""
         if any(seq not in self._unacknowledged for seq in seqs):
             return []
-        pieces = [self._unacknowledged.pop(seq).piece for seq in seqs]
-        self.frames_held -= sum(len(piece.block) for piece in pieces)
+        contents = [self._unacknowledged.pop(seq).content for seq in seqs]
+        self.frames_held -= sum(len(content.block) for content in contents)
         self.frames_estimated += estimated
         self.dropped.merge(dropped)
-        return pieces
+        return contents
 
     def worker_lost(self) -> int:
         """The worker is dead: gives how many frames wait for its successor (0 for a live queue)."""
@@ -103,7 +111,7 @@ class ShardQueue:
             if held[0].deaths >= MAX_DEATHS:
                 self._drop(held.pop(0), "worker_killer")
         self._waiting.extendleft(reversed(held))
-        frames = sum(len(entry.piece.block) for entry in held)
+        frames = sum(len(entry.content.block) for entry in held)
         self.frames_replayed += frames
         return frames
 
@@ -115,6 +123,6 @@ class ShardQueue:
         self._waiting.clear()
 
     def _drop(self, entry: Entry, reason: str) -> None:
-        frames = len(entry.piece.block)
+        frames = len(entry.content.block)
         self.frames_held -= frames
         self.dropped.add(reason, frames)

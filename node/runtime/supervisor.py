@@ -1,12 +1,12 @@
-"""Keeps the workers alive: sees one die, says so, and starts its successor."""
+"""The supervisor: keeps the node's child processes alive."""
 
 from __future__ import annotations
 
 import logging
 import signal
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Iterable
 
 from chachart.node.runtime.child import Child
 
@@ -16,85 +16,114 @@ FIRST_DELAY_S = 0.1
 LONGEST_DELAY_S = 5.0
 LONG_LIFE_S = 10.0
 STILLBORN_LIMIT = 5
-"""A worker that died so often in a row without ever saying hello will not do better next time."""
+"""A process that died so often in a row without ever coming up will not do better next time."""
+DEATHS_WINDOW_S = 60.0
 
 
-@dataclass(slots=True, eq=False)
-class Post:
-    """One worker's place: who is there, or when the next one starts."""
-
-    shard: int
-    child: Child | None = None
-    started: float = 0.0
-    start_at: float = 0.0
-    restarts: int = 0
-    short_lives: int = 0
-    stillborn: int = 0
-
-
-class Supervisor:
-    """Starts `count` workers and restarts those that die.
+class SupervisedChild:
+    """A child process that is started again whenever it dies. One thread calls all but `is_up`.
 
     Parameters
     ----------
-    count
-        How many.
+    name
+        What log and status call it.
     start
-        Starts the worker of a shard.
+        Starts it.
     on_death
-        Told shard and process id of a worker that died, before its successor starts.
+        Called with the process id of one that died, before its successor starts.
+    most_deaths
+        When it has died so often within a minute, it is given up; None: never for that.
+
+    Attributes
+    ----------
+    child
+        The process, while there is one.
+    restarts
+        How often it had to be started again.
     """
 
     def __init__(
-        self, count: int, start: Callable[[int], Child], on_death: Callable[[int, int], None]
+        self,
+        name: str,
+        start: Callable[[], Child],
+        on_death: Callable[[int], None],
+        most_deaths: int | None = None,
     ) -> None:
-        self.posts = [Post(shard) for shard in range(count)]
+        self.name = name
+        self.child: Child | None = None
+        self.restarts = 0
         self._start = start
         self._on_death = on_death
+        self._most_deaths = most_deaths
+        self._started = 0.0
+        self._start_at = 0.0
+        self._short_lives = 0
+        self._stillborn = 0
+        self._deaths: deque[float] = deque()
 
     def check(self) -> str | None:
-        """Look after every worker; gives a reason to give up, if there is one.
+        """Start it, or see whether it lives; gives a reason to give up, if there is one.
 
-        A worker that ended with exit code 0 was told to.
+        A process that ended with exit code 0 was told to.
         """
         now = time.monotonic()
-        for post in self.posts:
-            code = None if post.child is None else post.child.exit_code()
-            if post.child is not None and code:
-                self._bury(post, post.child, code, now)
-            if post.stillborn >= STILLBORN_LIMIT:
-                return f"worker {post.shard} cannot start: it died {post.stillborn} times in a row"
-            if post.child is None and now >= post.start_at:
-                post.child, post.started = self._start(post.shard), now
+        code = None if self.child is None else self.child.exit_code()
+        if self.child is not None and code:
+            self._bury(self.child, code, now)
+        if self._stillborn >= STILLBORN_LIMIT:
+            return f"{self.name} cannot start: it died {self._stillborn} times in a row"
+        if self._most_deaths is not None and len(self._deaths) >= self._most_deaths:
+            return f"{self.name} died {len(self._deaths)} times within a minute"
+        if self.child is None and now >= self._start_at:
+            self.child, self._started = self._start(), now
         return None
 
-    def hello(self, shard: int) -> None:
-        """That worker is up."""
-        self.posts[shard].stillborn = 0
+    def is_up(self) -> None:
+        """It has come up."""
+        self._stillborn = 0
 
     def kill(self) -> None:
-        """End all workers now."""
-        for post in self.posts:
-            if post.child is not None:
-                post.child.kill()
+        """End it now."""
+        if self.child is not None:
+            self.child.kill()
+
+    def _bury(self, child: Child, code: int, now: float) -> None:
+        child.close()
+        self.child = None
+        self.restarts += 1
+        self._stillborn += 1
+        self._deaths.append(now)
+        while self._deaths[0] < now - DEATHS_WINDOW_S:
+            self._deaths.popleft()
+        self._short_lives = 0 if now - self._started > LONG_LIFE_S else self._short_lives + 1
+        delay = min(FIRST_DELAY_S * 2.0 ** max(0, self._short_lives - 1), LONGEST_DELAY_S)
+        self._start_at = now + delay
+        cause = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+        log.error("%s (process %d) died: %s; restarting it in %.1f s", self.name, child.pid, cause, delay)
+        self._on_death(child.pid)
+
+
+class Supervisor:
+    """Looks after several children."""
+
+    def __init__(self, children: Iterable[SupervisedChild]) -> None:
+        self.children = list(children)
+
+    def check(self) -> str | None:
+        """Look after every one; gives a reason to give up, if there is one."""
+        for child in self.children:
+            if (reason := child.check()) is not None:
+                return reason
+        return None
+
+    def kill(self) -> None:
+        """End all now."""
+        for child in self.children:
+            child.kill()
 
     def close(self, timeout: float) -> None:
-        """Wait for all workers to end by themselves, at most `timeout` seconds, then end them."""
+        """Wait for all to end by themselves, at most `timeout` seconds, then end them."""
         deadline = time.monotonic() + timeout
-        for post in self.posts:
-            if post.child is not None:
-                post.child.close(max(0.0, deadline - time.monotonic()))
-
-    def _bury(self, post: Post, child: Child, code: int, now: float) -> None:
-        child.close()
-        post.child = None
-        post.restarts += 1
-        post.stillborn += 1
-        post.short_lives = 0 if now - post.started > LONG_LIFE_S else post.short_lives + 1
-        delay = min(FIRST_DELAY_S * 2.0 ** max(0, post.short_lives - 1), LONGEST_DELAY_S)
-        post.start_at = now + delay
-        cause = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-        log.error(
-            "worker %d (process %d) died: %s; restarting it in %.1f s", post.shard, child.pid, cause, delay
-        )
-        self._on_death(post.shard, child.pid)
+        for child in self.children:
+            if child.child is not None:
+                child.child.close(max(0.0, deadline - time.monotonic()))

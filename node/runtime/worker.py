@@ -72,26 +72,25 @@ class Worker:
         if kind == messages.BLOCK:
             self._blocks(parts)
         elif kind == messages.CONFIGURE:
-            values = messages.unpack(parts[0])
-            self._processor.clock.live = values["live"]
-            self._processor.request("set_method", values)
+            self._processor.clock.live = messages.unpack(parts[0])["live"]
         elif kind == messages.REQUEST:
             self._request(messages.unpack(parts[0]))
 
     def _blocks(self, parts: list[memoryview]) -> None:
         """Estimate this block together with those that wait behind it, and acknowledge them all."""
-        seqs = [self._number(parts[0])]
+        first = messages.unpack(parts[0])
+        seqs = [self._number(first)]
         blocks = [decode_csi(parts[1:])]
         frames, size = len(blocks[0]), blocks[0].csi.nbytes
         while (message := self._receive(0)) is not None and message[0] == messages.BLOCK:
-            block = decode_csi(message[1][1:])
+            header, block = messages.unpack(message[1][0]), decode_csi(message[1][1:])
             frames, size = frames + len(block), size + block.csi.nbytes
-            if frames > self._merge_frames or size > MERGE_BYTES:
+            if frames > self._merge_frames or size > MERGE_BYTES or header["method"] != first["method"]:
                 break
-            seqs.append(self._number(message[1][0]))
+            seqs.append(self._number(header))
             blocks.append(block)
         self._put_back = message
-        outcome = self._processor.process(CsiBlock.concatenate(blocks))
+        outcome = self._processor.process(CsiBlock.concatenate(blocks), *first["method"])
         answer = {
             "seqs": seqs,
             "estimated": outcome.estimated,
@@ -102,19 +101,25 @@ class Worker:
         result = b"" if outcome.update is None else messages.pack_update(outcome.update)
         self._socket.send_multipart([messages.DONE, messages.pack(answer), result])
 
-    def _number(self, header: memoryview) -> int:
-        seq: int = messages.unpack(header)["seq"]
+    def _number(self, header: dict[str, Any]) -> int:
+        seq: int = header["seq"]
         if self._last >= 0 and seq != self._last + 1:
             self._counters.add("gaps" if seq > self._last else "out_of_order")
         self._last = seq
         return seq
 
     def _request(self, values: dict[str, Any]) -> None:
+        """Answer a request; one that fails, for whatever reason, costs an error message and nothing else."""
         answer: dict[str, Any] = {"id": values["id"]}
         try:
-            answer["result"] = self._processor.request(values["operation"], values["arguments"])
+            if values["operation"] != "spectrum":
+                raise RequestError(f"a worker knows no operation {values['operation']!r}")
+            answer["result"] = self._processor.spectrum(values["arguments"]["ue"])
         except RequestError as error:
             answer["error"] = str(error)
+        except Exception as error:
+            log.exception("%s failed", values["operation"])
+            answer["error"] = f"{values['operation']} failed: {error}"
         self._socket.send_multipart([messages.REPLY, messages.pack(answer)])
 
 

@@ -27,6 +27,7 @@ from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
 from chachart.node.data.errors import RequestError, SetupError
+from chachart.node.net.endpoints import fixed
 from chachart.sinks.base import SinkSettings
 from chachart.sinks.web.access import COOKIE, Access, is_loopback
 
@@ -83,6 +84,10 @@ class WebSettings(SinkSettings):
         if self.token is None and not is_loopback(self.host):
             raise ValueError(f"token must be set to listen on {self.host}, which others can reach")
         return self
+
+    def listens_on(self) -> str | None:
+        """Host and port, unless any free port will do."""
+        return fixed(f"tcp://{self.host}:{self.port}")
 
 
 def port_problems(settings: WebSettings) -> list[str]:

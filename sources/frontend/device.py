@@ -43,6 +43,8 @@ class FaultSettings(Settings):
     """Fraction of the frames that are sent a few frames late."""
     unplug_every_s: float | None = Field(None, gt=0)
     """Unplug the link so often; not set: never."""
+    unplug_every_frames: int | None = Field(None, ge=1)
+    """Unplug the device whenever it has sent so many frames."""
     unplugged_s: float = Field(1.0, gt=0)
     """How long it stays unplugged."""
     fault_seed: int = Field(0, ge=0)
@@ -152,6 +154,7 @@ class SimulatedFrontEnd:
         self._rng = np.random.default_rng(faults.fault_seed)
         self._format = SampleFormat[faults.format.upper()]
         self._seq = 0
+        self._played = 0
         self._start_ns: int | None = None
         self._now_ns = 0
         self._late: deque[tuple[int, bytes]] = deque()
@@ -162,11 +165,14 @@ class SimulatedFrontEnd:
         """Play to the end; the report of it."""
         every = self._faults.unplug_every_s
         unplug_at = self._clock() + every if every else float("inf")
+        frames = self._faults.unplug_every_frames
+        unplug_after = frames if frames else float("inf")
         with self._source:
             while not self._link.stopping.is_set():
-                if self._clock() >= unplug_at:
+                if self._clock() >= unplug_at or self._played >= unplug_after:
                     self._unplugged()
-                    unplug_at = self._clock() + (every or 0.0)
+                    unplug_at = self._clock() + every if every else float("inf")
+                    unplug_after = self._played + frames if frames else float("inf")
                 if not self._link.wait_ready(0.1):
                     continue
                 self._show_signs_of_life()
@@ -176,6 +182,7 @@ class SimulatedFrontEnd:
                     break
                 if block is not None:
                     self._play(block)
+                    self._played += len(block)
         self._release(all_of_them=True)
         self._send(Heartbeat(self._seq, self._now_ns))
         return self.report

@@ -19,6 +19,7 @@ from chachart.node.data.errors import RequestError, SetupError
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.options import Options
 from chachart.node.files.recording import RecordingReader
+from chachart.node.runtime import requests
 from chachart.node.runtime.node import Node
 from chachart.node.runtime.plan import Plan
 from chachart.sources.recording import Recording, RecordingSettings
@@ -183,13 +184,13 @@ def test_requests_while_it_runs(make_node: MakeNode, tmp_path: Path) -> None:
     node = make_node(loops=0, count=2)
     node.start()
     until(lambda: node.status()["ues"] == 40, "all UEs are on the chart")
-    assert node.request("status", {})["state"] == "running"
-    assert sorted(row["ue"] for row in node.request("ues", {})["ues"]) == list(range(40))
-    assert len(node.request("chart", {})["theta"]) == 40
+    assert node.status()["state"] == "running"
+    assert sorted(row["ue"] for row in node.ues()["ues"]) == list(range(40))
+    assert len(node.chart_columns()["theta"]) == 40
     for ue in range(4):
-        assert len(node.request("spectrum", {"ue": ue})["theta_spectrum"]) > 0
-    assert node.request("set_method", {"theta": "music"}) == {"theta": "music", "rho": "bartlett"}
-    assert node.request("set_method", {"rho": "isq"}) == {"theta": "music", "rho": "isq"}
+        assert len(node.spectrum(ue)["theta_spectrum"]) > 0
+    assert node.set_method("music", "isq") == {"theta": "music", "rho": "isq"}
+    assert node.status()["method"] == {"theta": "music", "rho": "isq"}
     until(lambda: _methods(node) == ("music", "isq"), "the new methods are in use")
     until(lambda: node.status()["workers"][0]["pid"], "worker 0 is there")
     os.kill(node.status()["workers"][0]["pid"], signal.SIGKILL)
@@ -206,16 +207,16 @@ def test_a_recording_is_started_and_stopped_by_request(make_node: MakeNode, tmp_
     node = make_node(loops=0)
     node.start()
     path = tmp_path / "by-request.mcap"
-    assert node.request("record", {"on": True, "path": str(path)})["on"]
+    assert node.start_recording(path)["on"]
     with pytest.raises(RequestError, match="already recording"):
-        node.request("record", {"on": True, "path": str(path)})
+        node.start_recording(path)
     until(lambda: (node.status()["recording"] or "").startswith(str(tmp_path)), "status tells")
     frames = node.status()["frames_in"]
     until(lambda: node.status()["frames_in"] > frames + 500, "frames are recorded")
-    answer = node.request("record", {"on": False})
+    answer = node.stop_recording()
     assert (answer["on"], answer["dropped"]) == (False, {})
     with pytest.raises(RequestError, match="no recording"):
-        node.request("record", {"on": False})
+        node.stop_recording()
     node.stop()
     assert node.wait(DEADLINE_S)
     node.close()
@@ -223,17 +224,12 @@ def test_a_recording_is_started_and_stopped_by_request(make_node: MakeNode, tmp_
     assert sum(summary.frames for summary in recorded) == answer["received"]
 
 
-BAD_REQUESTS: list[tuple[str, dict[str, Any], str]] = [
-    ("dance", {}, "there is no operation 'dance', only status, ues"),
-    ("status", {"loud": True}, "status takes no arguments, not loud"),
-    ("spectrum", {"ue": -1}, "ue must be a whole number"),
-    ("spectrum", {"ue": "7"}, "ue must be a whole number"),
-    ("spectrum", {"ue": 2**63}, "is not on the chart"),
-    ("set_method", {"theta": "bartlet"}, "theta = 'bartlet'"),
-    ("set_method", {"theta": "joint"}, "joint"),
-    ("record", {"on": "yes"}, "on must be true or false"),
-    ("record", {"on": True}, "path must name the file"),
-    ("record", {"on": True, "path": "/nowhere/at/all.mcap"}, "/nowhere/at"),
+BAD_REQUESTS: list[tuple[Callable[[Node], Any], str]] = [
+    (lambda node: node.spectrum(2**63), "is not on the chart"),
+    (lambda node: node.set_method("bartlet", "bartlett"), "theta = 'bartlet'"),
+    (lambda node: node.set_method("joint", "bartlett"), "joint"),
+    (lambda node: node.start_recording(Path("/nowhere/at/all.mcap")), "/nowhere/at"),
+    (lambda node: node.stop_recording(), "no recording"),
 ]
 
 
@@ -241,14 +237,31 @@ def test_bad_requests_get_an_error_and_change_nothing(make_node: MakeNode) -> No
     node = make_node(loops=0)
     node.start()
     until(lambda: node.status()["ues"] == 40, "all UEs are on the chart")
-    for operation, arguments, message in BAD_REQUESTS:
+    for ask, message in BAD_REQUESTS:
         with pytest.raises(RequestError, match=message):
-            node.request(operation, arguments)
+            ask(node)
     node.stop()
     assert node.wait(DEADLINE_S)
     assert _methods(node) == ("bartlett", "bartlett")
     summary = node.close()
     assert summary["frames_in"] == summary["frames_estimated"]
+
+
+def test_a_method_that_is_answered_late_is_what_status_says(
+    make_node: MakeNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = make_node(loops=0)
+    node.start()
+    until(lambda: node.status()["ues"] == 40, "all UEs are on the chart")
+    monkeypatch.setattr(requests, "TIMEOUT_S", 0.2)
+    assert node.feeder_pid is not None
+    os.kill(node.feeder_pid, signal.SIGSTOP)
+    with pytest.raises(RequestError, match="not answered within"):
+        node.set_method("music", "isq")
+    assert node.status()["method"] == {"theta": "bartlett", "rho": "bartlett"}
+    os.kill(node.feeder_pid, signal.SIGCONT)
+    until(lambda: node.status()["method"] == {"theta": "music", "rho": "isq"}, "status tells the truth")
+    until(lambda: _methods(node) == ("music", "isq"), "the new methods are in use")
 
 
 def _methods(node: Node) -> tuple[str, str] | None:

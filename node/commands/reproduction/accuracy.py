@@ -91,7 +91,7 @@ def measure(
     frames: int,
     seed: int,
     options: Mapping[str, Any],
-    told: Callable[[str], None],
+    progress: Callable[[str], None],
 ) -> tuple[Accuracy, Accuracy]:
     """Errors of theta and of rho; theta uniform over 30..150 degrees, rho over 100..600 m.
 
@@ -101,7 +101,7 @@ def measure(
         Each stands for both coordinates.
     paths
         Independent paths at each SNR, each with `frames` frames; all methods see the same.
-    told
+    progress
         Called with each SNR done, in words.
     """
     rng = np.random.default_rng([seed, 4])
@@ -121,7 +121,7 @@ def measure(
             )
             at = estimator.update(block)
             squares[method][:, n] = np.mean((at.theta - theta) ** 2), np.mean((at.rho - rho) ** 2)
-        told(f"single path, {array.subcarriers * array.subcarrier_spacing_hz / 1e6:g} MHz, {snr_db:g} dB")
+        progress(f"single path, {array.subcarriers * array.subcarrier_spacing_hz / 1e6:g} MHz, {snr_db:g} dB")
     ratio = 10 ** (np.array(SNRS_DB)[:, None] / 10)
     bandwidth = array.subcarriers * array.subcarrier_spacing_hz
 

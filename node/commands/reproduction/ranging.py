@@ -38,8 +38,8 @@ class Ranged:
         return asdict(self)
 
 
-def compare(scene: Scene, k: int, told: Callable[[str], None]) -> Iterator[Ranged]:
-    """Every way on a scene; `told` is called with each result in words."""
+def compare(scene: Scene, k: int, progress: Callable[[str], None]) -> Iterator[Ranged]:
+    """Every way on a scene; `progress` is called with each result in words."""
     truth = scene.truth
     rho = scene.array.theta_rho(scene.position)[1]
     for way, method, log_range, random_training in WAYS:
@@ -48,5 +48,5 @@ def compare(scene: Scene, k: int, told: Callable[[str], None]) -> Iterator[Range
             chart, _ = estimate(scene, ("bartlett", method), options, random_training=random_training)
             near = neighbourhoods(truth, np.stack([chart.x, chart.y], axis=1), k)
             error = float(np.median(np.abs(chart.rho - rho) / rho))
-            told(f"{way}, {amplitude}: TW {near.tw:.4f} CT {near.ct:.4f}")
+            progress(f"{way}, {amplitude}: TW {near.tw:.4f} CT {near.ct:.4f}")
             yield Ranged(way, amplitude, near.tw, near.ct, error)

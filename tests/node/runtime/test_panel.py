@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from chachart.node.estimation.options import Options
-from chachart.node.runtime.charts import Charts
+from chachart.node.runtime.collector import Collector
 from chachart.node.runtime.logs import JsonFormatter
 from chachart.node.runtime.panel import counts, line, panel, summary_lines
 from chachart.node.runtime.status import NodeStatus, Rates, summary
@@ -106,7 +106,7 @@ def test_rates() -> None:
 
 
 def test_charts_without_frames_have_no_latency() -> None:
-    charts = Charts(Options())
+    charts = Collector(Options())
     charts.tick()
     assert charts.recent_latency_ms()["p50"] is None
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from chachart.node.data.csi import CsiBlock
-from chachart.node.runtime.partition import Partitioner, Piece, shard_of
+from chachart.node.runtime.partition import Partitioner, ShardBlock, shard_of
 
 Sizes = st.lists(st.integers(1, 70), min_size=1, max_size=12)
 
@@ -24,9 +24,9 @@ def make_blocks(sizes: list[int], ues: int = 20) -> list[CsiBlock]:
     return blocks
 
 
-def run(partitioner: Partitioner, blocks: list[CsiBlock]) -> list[Piece]:
-    pieces = [piece for now, block in enumerate(blocks) for piece in partitioner.add(block, float(now))]
-    return pieces + partitioner.flush()
+def run(partitioner: Partitioner, blocks: list[CsiBlock]) -> list[ShardBlock]:
+    blocks_out = [out for now, block in enumerate(blocks) for out in partitioner.add(block, float(now))]
+    return blocks_out + partitioner.flush()
 
 
 @given(sizes=Sizes, shards=st.integers(1, 5), block_frames=st.integers(1, 40))
@@ -34,24 +34,24 @@ def test_every_frame_leaves_once_in_the_order_of_its_ue(
     sizes: list[int], shards: int, block_frames: int
 ) -> None:
     blocks = make_blocks(sizes)
-    pieces = run(Partitioner(shards, block_frames, 1e9), blocks)
+    blocks_out = run(Partitioner(shards, block_frames, 1e9), blocks)
     everything = CsiBlock.concatenate(blocks)
-    assert sorted(n for p in pieces for n in p.block.time_ns.tolist()) == everything.time_ns.tolist()
-    for piece in pieces:
-        assert len(piece.block) <= block_frames
-        assert (shard_of(piece.block.ue, shards) == piece.shard).all()
-        np.testing.assert_array_equal(piece.block.csi[:, 0, 0].real, piece.block.time_ns)
+    assert sorted(n for p in blocks_out for n in p.block.time_ns.tolist()) == everything.time_ns.tolist()
+    for out in blocks_out:
+        assert len(out.block) <= block_frames
+        assert (shard_of(out.block.ue, shards) == out.shard).all()
+        np.testing.assert_array_equal(out.block.csi[:, 0, 0].real, out.block.time_ns)
     for ue in np.unique(everything.ue):
-        times = [t for p in pieces for t in p.block.time_ns[p.block.ue == ue].tolist()]
+        times = [t for p in blocks_out for t in p.block.time_ns[p.block.ue == ue].tolist()]
         assert times == sorted(times)
 
 
 def test_one_shard_passes_blocks_through_without_a_copy() -> None:
     [block] = make_blocks([128])
-    pieces = Partitioner(1, 64, 1.0).add(block, 0.0)
-    assert [len(p.block) for p in pieces] == [64, 64]
-    assert all(np.shares_memory(p.block.csi, block.csi) for p in pieces)
-    assert [p.block.seq for p in pieces] == [0, 64]
+    blocks_out = Partitioner(1, 64, 1.0).add(block, 0.0)
+    assert [len(p.block) for p in blocks_out] == [64, 64]
+    assert all(np.shares_memory(p.block.csi, block.csi) for p in blocks_out)
+    assert [p.block.seq for p in blocks_out] == [0, 64]
 
 
 def test_a_block_that_waited_long_enough_is_due() -> None:
@@ -62,9 +62,9 @@ def test_a_block_that_waited_long_enough_is_due() -> None:
     assert partitioner.add(second, 1.004) == []
     assert partitioner.deadline() == pytest.approx(1.005)
     assert partitioner.due(1.0049) == []
-    [piece] = partitioner.due(1.005)
-    assert len(piece.block) == 15
-    assert piece.arrivals == ((1.0, 10), (1.004, 5))
+    [out] = partitioner.due(1.005)
+    assert len(out.block) == 15
+    assert out.arrivals == ((1.0, 10), (1.004, 5))
     assert partitioner.deadline() is None
     assert partitioner.flush() == []
 

@@ -12,33 +12,34 @@ import pytest
 
 from chachart.node.runtime import supervisor
 from chachart.node.runtime.child import Child
-from chachart.node.runtime.supervisor import STILLBORN_LIMIT, Supervisor
+from chachart.node.runtime.supervisor import STILLBORN_LIMIT, SupervisedChild
 
 DEADLINE_S = 30.0
 SETTINGS = {"log_level": logging.INFO, "directory": "nowhere"}
 
 
 @pytest.fixture
-def make(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], Supervisor]]:
-    """Supervisors of one child each, which runs a module that is none of ours."""
+def make(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., SupervisedChild]]:
+    """Children that run a module that is none of ours."""
     monkeypatch.setattr(supervisor, "FIRST_DELAY_S", 0.001)
     made = []
 
-    def supervise(module: str) -> Supervisor:
-        deaths: list[tuple[int, int]] = []
-        one = Supervisor(
-            1, lambda shard: Child(f"worker {shard}", module, SETTINGS), lambda *who: deaths.append(who)
-        )
-        made.append(one)
-        return one
+    def supervise(module: str, most_deaths: int | None = None) -> SupervisedChild:
+        def start() -> Child:
+            return Child("worker 0", module, SETTINGS)
+
+        deaths: list[int] = []
+        made.append(SupervisedChild("worker 0", start, deaths.append, most_deaths))
+        return made[-1]
 
     yield supervise
     for one in made:
         one.kill()
-        one.close(DEADLINE_S)
+        if one.child is not None:
+            one.child.close(DEADLINE_S)
 
 
-def check_until(supervised: Supervisor, condition: Callable[[str | None], bool]) -> str | None:
+def check_until(supervised: SupervisedChild, condition: Callable[[str | None], bool]) -> str | None:
     deadline, timer = time.monotonic() + DEADLINE_S, threading.Event()
     while True:
         reason = supervised.check()
@@ -49,7 +50,7 @@ def check_until(supervised: Supervisor, condition: Callable[[str | None], bool])
 
 
 def test_a_worker_that_never_starts_is_given_up(
-    make: Callable[[str], Supervisor], caplog: pytest.LogCaptureFixture
+    make: Callable[..., SupervisedChild], caplog: pytest.LogCaptureFixture
 ) -> None:
     supervised = make("no_such_module")
     reason = check_until(supervised, lambda reason: reason is not None)
@@ -59,26 +60,35 @@ def test_a_worker_that_never_starts_is_given_up(
 
 
 def test_a_killed_worker_is_restarted(
-    make: Callable[[str], Supervisor], caplog: pytest.LogCaptureFixture
+    make: Callable[..., SupervisedChild], caplog: pytest.LogCaptureFixture
 ) -> None:
     supervised = make("http.server")  # anything that stays
     supervised.check()
-    [post] = supervised.posts
-    first = post.child
+    first = supervised.child
     assert first is not None
-    supervised.hello(0)
+    supervised.is_up()
     os.kill(first.pid, signal.SIGKILL)
-    check_until(supervised, lambda _: post.child not in (None, first))
-    assert post.restarts == 1
+    check_until(supervised, lambda _: supervised.child not in (None, first))
+    assert supervised.restarts == 1
     assert f"worker 0 (process {first.pid}) died: killed by SIGKILL" in caplog.text
     assert not Path(f"/proc/{first.pid}").exists()
 
 
-def test_a_worker_that_ended_as_told_is_not_restarted(make: Callable[[str], Supervisor]) -> None:
+def test_a_worker_that_ended_as_told_is_not_restarted(make: Callable[..., SupervisedChild]) -> None:
     supervised = make("this")
     supervised.check()
-    [post] = supervised.posts
-    assert post.child is not None
-    assert post.child.wait(DEADLINE_S)
+    assert supervised.child is not None
+    assert supervised.child.wait(DEADLINE_S)
     supervised.check()
-    assert (post.restarts, post.child.exit_code()) == (0, 0)
+    assert (supervised.restarts, supervised.child.exit_code()) == (0, 0)
+
+
+def test_one_that_dies_again_and_again_is_given_up(make: Callable[..., SupervisedChild]) -> None:
+    supervised = make("http.server", most_deaths=3)
+    for deaths in range(1, 4):
+        supervised.check()
+        check_until(supervised, lambda _: supervised.child is not None)
+        supervised.is_up()
+        supervised.kill()
+        reason = check_until(supervised, lambda _, n=deaths: supervised.restarts == n)  # type: ignore[misc]
+    assert reason == "worker 0 died 3 times within a minute"

@@ -86,7 +86,7 @@ def test_frames_out_of_order_are_all_taken():
 
 
 def test_unplugging_is_survived_and_costs_nothing_that_was_sent():
-    loopback = {"scenario": scenario(3000), "unplug_every_s": 0.1, "unplugged_s": 0.05}
+    loopback = {"scenario": scenario(3000), "unplug_every_frames": 1000, "unplugged_s": 0.05}
     with SerialSource(SerialSettings(loopback=loopback, retry_max_s=0.2), ARRAY) as source:
         got = listen(source, 3000)
         assert sum(len(b) for b in got) == 3000
@@ -96,7 +96,7 @@ def test_unplugging_is_survived_and_costs_nothing_that_was_sent():
 
 def test_what_a_live_device_measured_while_unplugged_is_counted_as_lost():
     playing = {**scenario(2000), "frame_rate_hz": 2000.0}
-    loopback = {"scenario": playing, "unplug_every_s": 0.3, "unplugged_s": 0.2}
+    loopback = {"scenario": playing, "unplug_every_frames": 500, "unplugged_s": 0.2}
     with SerialSource(SerialSettings(loopback=loopback, retry_max_s=0.2), ARRAY) as source:
         got = listen(source, 2000)
         assert counts(source)["lost"] == 2000 - sum(len(b) for b in got) > 0

@@ -16,7 +16,7 @@ from chachart.node.runtime.table import ChartTable
 LATENCY_WINDOW_S = 5.0
 
 
-class Charts:
+class Collector:
     """Takes updates from the workers and hands them on. One thread calls `take` and `tick`.
 
     Attributes

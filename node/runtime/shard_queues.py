@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from chachart.node.data.counters import Counters
-from chachart.node.runtime.partition import Piece
+from chachart.node.runtime.partition import ShardBlock
 from chachart.node.runtime.shard_queue import Entry, ShardQueue
 
 
-class Lanes:
+class ShardQueues:
     """One `ShardQueue` per worker behind one lock.
 
     Parameters
@@ -31,28 +31,28 @@ class Lanes:
         self._condition = threading.Condition()
         self._abandoned: str | None = None
 
-    def put(self, piece: Piece) -> None:
+    def put(self, content: ShardBlock) -> None:
         """Add a block; waits for room where nothing may be dropped."""
-        queue = self._queues[piece.shard]
+        queue = self._queues[content.shard]
         with self._condition:
             while self._lossless and queue.full and self._abandoned is None:
                 self._condition.wait()
-            queue.put(piece)
+            queue.put(content)
             if self._abandoned is not None:
                 queue.abandon(self._abandoned)
         self._wake()
 
-    def take(self, shard: int) -> Entry | None:
+    def take(self, shard: int, method: tuple[str, str]) -> Entry | None:
         """The next block for the worker of `shard`, if it has credit."""
         with self._condition:
-            entry = self._queues[shard].next_to_send()
+            entry = self._queues[shard].next_to_send(method)
             if entry is not None:
                 self._condition.notify_all()
             return entry
 
     def acknowledge(
         self, shard: int, seqs: Sequence[int], estimated: int, dropped: Mapping[str, int]
-    ) -> list[Piece]:
+    ) -> list[ShardBlock]:
         """See `ShardQueue.acknowledge`."""
         with self._condition:
             return self._queues[shard].acknowledge(seqs, estimated, dropped)
