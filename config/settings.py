@@ -21,14 +21,20 @@ class ArraySettings(Settings):
 
     name: str = Field("lab", min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_-]+$")
     """Which array; goes into topics (`chart.<name>`) and recordings."""
-    antennas: int = Field(32, ge=2, le=1024)
+    antennas: int = Field(32, ge=1, le=1024)
     """N_R, elements of the uniform linear array."""
     carrier_hz: float = Field(2e9, gt=0)
-    """Carrier frequency; subcarrier n is at carrier_hz + n * subcarrier_spacing_hz."""
+    """Frequency of tone 0; tone k is at carrier_hz + k * subcarrier_spacing_hz."""
     subcarriers: int = Field(32, ge=1, le=16384)
-    """N_S."""
+    """N_S; need not be set beside tones."""
     subcarrier_spacing_hz: float = Field(9765.625, gt=0)
-    """Distance between neighbouring subcarriers."""
+    """Distance between neighbouring tones."""
+    tones: tuple[int, ...] | None = Field(None, examples=[(*range(-16, 0), *range(1, 17))])
+    """Numbers of the subcarriers, ascending, where they are not 0, 1, 2 ... without a gap."""
+    dead_antennas: tuple[int, ...] = Field((), examples=[(3,)])
+    """Elements that do not count, by their place in the array: broken ones."""
+    dead_tones: tuple[int, ...] = Field((), examples=[(0, 31)])
+    """Subcarriers that do not count, by their place in the frames (0 ... subcarriers - 1)."""
     element_spacing_m: float | None = Field(None, gt=0)
     """Distance between neighbouring elements; half a wavelength where it is not set."""
     position_m: Vector = (0.0, 0.0, 10.0)
@@ -62,7 +68,7 @@ class ArraySettings(Settings):
         Raises
         ------
         ValueError
-            If axis and broadside are not orthogonal.
+            If axis and broadside are not orthogonal, or tones or what is dead do not fit.
         """
         axis = _vector(self.axis)
         if self.broadside is not None:
@@ -75,7 +81,7 @@ class ArraySettings(Settings):
         return ArrayGeometry(
             name=self.name,
             antennas=self.antennas,
-            subcarriers=self.subcarriers,
+            subcarriers=self._subcarriers(),
             carrier_hz=self.carrier_hz,
             subcarrier_spacing_hz=self.subcarrier_spacing_hz,
             element_spacing_m=self.element_spacing_m or self.light_speed_m_s / self.carrier_hz / 2,
@@ -84,7 +90,16 @@ class ArraySettings(Settings):
             broadside=broadside,
             height_m=self.height_m,
             light_speed_m_s=self.light_speed_m_s,
+            tones=self.tones,
+            dead_antennas=tuple(sorted(set(self.dead_antennas))),
+            dead_tones=tuple(sorted(set(self.dead_tones))),
         )
+
+    def _subcarriers(self) -> int:
+        """As many as there are tones, where only those are said."""
+        if self.tones is None or "subcarriers" in self.model_fields_set:
+            return self.subcarriers
+        return len(self.tones)
 
     def correction(self) -> Calibration | None:
         """What `antenna_order` or the calibration file says; None where neither is set.
@@ -97,7 +112,7 @@ class ArraySettings(Settings):
         if self.calibration is None:
             if self.antenna_order is None:
                 return None
-            return Calibration.order_only(self.antenna_order, self.subcarriers)
+            return Calibration.order_only(self.antenna_order, self._subcarriers())
         if self.antenna_order is not None:
             raise ValueError("antenna_order cannot be set beside calibration, which has one of its own")
         return load_calibration(self.calibration)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.files.recording import RecordingReader, RecordingSummary
 
 
@@ -78,9 +79,12 @@ def lines(summary: RecordingSummary) -> Iterator[tuple[str, str]]:
     yield "carrier", f"{array.carrier_hz / 1e6:g} MHz (wavelength {array.wavelength_m:.4g} m)"
     yield (
         "subcarriers",
-        f"{array.subcarriers}, {array.subcarrier_spacing_hz / 1e3:g} kHz apart "
+        f"{array.subcarriers}, {_tones(array)}{array.subcarrier_spacing_hz / 1e3:g} kHz apart "
         f"(ranges unambiguous to {array.unambiguous_rho_m:.1f} m)",
     )
+    for what, dead in (("antennas", array.dead_antennas), ("subcarriers", array.dead_tones)):
+        if dead:
+            yield f"dead {what}", " ".join(map(str, dead))
     if array.calibration is not None:
         moved = sum(n != m for n, m in enumerate(array.calibration.antenna_order))
         turned = np.angle(np.exp(1j * np.array(array.calibration.antenna_phase_rad)))
@@ -88,6 +92,13 @@ def lines(summary: RecordingSummary) -> Iterator[tuple[str, str]]:
         yield "calibration", f"antenna phases {phase:.1f} degrees rms, {moved} antennas on others' inputs"
     for name, value in summary.note.items():
         yield name.replace("_", " "), value if isinstance(value, str) else json.dumps(value)
+
+
+def _tones(array: ArrayGeometry) -> str:
+    """Where the tones are, in words, if they are not 0 ... N_S - 1."""
+    if array.tones is None:
+        return ""
+    return f"tones {array.tones[0]} to {array.tones[-1]} of a grid "
 
 
 def _utc(time_ns: int) -> str:

@@ -9,7 +9,8 @@ A linear array cannot tell its two sides apart; the chart takes the broadside on
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,9 @@ from chachart.node.data.calibration import Calibration
 SPEED_OF_LIGHT = 299_792_458.0
 """Speed of light in vacuum, m/s."""
 
+MOST_TONE = 1 << 20
+"""Largest number of a tone, either way."""
+
 Vector = tuple[float, float, float]
 FloatArray = NDArray[np.float64]
 
@@ -28,6 +32,8 @@ FloatArray = NDArray[np.float64]
 class ArrayGeometry:
     """A uniform linear array and the subcarriers it measures.
 
+    The subcarriers need not be even: `tones` numbers them in steps of `subcarrier_spacing_hz`.
+
     Parameters
     ----------
     name
@@ -35,7 +41,7 @@ class ArrayGeometry:
     antennas, subcarriers
         N_R and N_S.
     carrier_hz, subcarrier_spacing_hz
-        Subcarrier n is at `carrier_hz + n * subcarrier_spacing_hz`.
+        Subcarrier n is at `carrier_hz + tone_numbers[n] * subcarrier_spacing_hz`.
     element_spacing_m
         Distance d between neighbouring elements.
     position_m
@@ -48,6 +54,10 @@ class ArrayGeometry:
         Propagation speed; some published scenarios round it to 3e8.
     calibration
         Order and response of the antennas; the estimators undo it. None: the frames are as they should be.
+    tones
+        Numbers of the subcarriers, ascending; None stands for 0 ... N_S - 1.
+    dead_antennas, dead_tones
+        Elements, and indices of subcarriers, that do not count, ascending. Frames still have them.
 
     Raises
     ------
@@ -67,6 +77,9 @@ class ArrayGeometry:
     height_m: float | None = None
     light_speed_m_s: float = SPEED_OF_LIGHT
     calibration: Calibration | None = None
+    tones: tuple[int, ...] | None = None
+    dead_antennas: tuple[int, ...] = ()
+    dead_tones: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if type(self.name) is not str or not self.name:
@@ -89,12 +102,33 @@ class ArrayGeometry:
                 raise ValueError(f"{name} must be a unit vector of 3 numbers, not {getattr(self, name)}")
         if abs(float(axis @ broadside)) > 1e-6:
             raise ValueError(f"broadside {self.broadside} must be orthogonal to axis {self.axis}")
+        self._check_numbers()
         c = self.calibration
         if c is not None and (c.antennas, c.subcarriers) != (self.antennas, self.subcarriers):
             raise ValueError(
                 f"the calibration is of {c.antennas} antennas and {c.subcarriers} subcarriers, "
                 f"the array has {self.antennas} and {self.subcarriers}"
             )
+
+    def _check_numbers(self) -> None:
+        """`tones` and what is dead, each as a tuple of ints in ascending order."""
+        if self.tones is not None:
+            object.__setattr__(self, "tones", _ascending("tones", self.tones))
+            if len(self.tones) != self.subcarriers:
+                raise ValueError(
+                    f"tones must number all {self.subcarriers} subcarriers, not {len(self.tones)}"
+                )
+            if max(abs(self.tones[0]), abs(self.tones[-1])) > MOST_TONE:
+                raise ValueError(f"tones must lie within -{MOST_TONE} and {MOST_TONE}, not {self.tones}")
+            if self.carrier_hz + self.tones[0] * self.subcarrier_spacing_hz <= 0:
+                raise ValueError(f"tone {self.tones[0]} would be at a frequency that is not positive")
+        for name, size in (("dead_antennas", self.antennas), ("dead_tones", self.subcarriers)):
+            dead = _ascending(name, getattr(self, name))
+            object.__setattr__(self, name, dead)
+            if dead and not 0 <= dead[0] <= dead[-1] < size:
+                raise ValueError(f"{name} must lie within 0 and {size - 1}, not {list(dead)}")
+            if len(dead) == size:
+                raise ValueError(f"{name} must leave one that counts, not name all {size}")
 
     @property
     def wavelength_m(self) -> float:
@@ -108,13 +142,43 @@ class ArrayGeometry:
 
     @property
     def rho_phase(self) -> float:
-        """Phase step between neighbouring subcarriers per metre: u = rho_phase * rho (negative)."""
+        """Phase step between neighbouring tone numbers per metre: u = rho_phase * rho (negative)."""
         return -2 * np.pi * self.subcarrier_spacing_hz / self.light_speed_m_s
 
     @property
+    def tone_numbers(self) -> NDArray[np.int64]:
+        """Numbers (subcarriers,) of the subcarriers."""
+        return np.arange(self.subcarriers) if self.tones is None else np.array(self.tones, np.int64)
+
+    @property
+    def frequencies_hz(self) -> FloatArray:
+        """Frequencies (subcarriers,) of the subcarriers."""
+        return self.carrier_hz + self.tone_numbers.astype(np.float64) * self.subcarrier_spacing_hz
+
+    @property
+    def live_antennas(self) -> NDArray[np.bool_]:
+        """Which elements count, (antennas,)."""
+        return _without(self.antennas, self.dead_antennas)
+
+    @property
+    def live_tones(self) -> NDArray[np.bool_]:
+        """Which subcarriers count, (subcarriers,)."""
+        return _without(self.subcarriers, self.dead_tones)
+
+    @property
+    def middle_hz(self) -> float:
+        """Mean frequency of the subcarriers that count."""
+        return float(self.frequencies_hz[self.live_tones].mean())
+
+    @property
     def unambiguous_rho_m(self) -> float:
-        """Largest range the subcarrier grid can tell from zero, c / spacing."""
-        return self.light_speed_m_s / self.subcarrier_spacing_hz
+        """Largest range that can be told from zero, c / (spacing * d).
+
+        d is the greatest common divisor of the distances between the tones that count.
+        """
+        steps = np.diff(self.tone_numbers[self.live_tones])
+        common = max(int(np.gcd.reduce(steps)), 1) if len(steps) else 1
+        return self.light_speed_m_s / (self.subcarrier_spacing_hz * common)
 
     def element_positions(self) -> FloatArray:
         """World positions of the elements, (antennas, 3) in metres."""
@@ -154,18 +218,45 @@ class ArrayGeometry:
     def mismatches(self, other: ArrayGeometry) -> list[str]:
         """What differs between two descriptions of one array, one phrase a field.
 
-        Name and calibration do not count: both may change while the array stays the same.
+        Name, calibration and what is dead do not count: they may change while the array stays the same.
         """
+        free = ("name", "calibration", "dead_antennas", "dead_tones", "tones")
         return [
             f"{f.name}: {getattr(self, f.name)} against {getattr(other, f.name)}"
             for f in fields(self)
-            if f.name not in ("name", "calibration")
-            and not _same(getattr(self, f.name), getattr(other, f.name))
-        ]
+            if f.name not in free and not _same(getattr(self, f.name), getattr(other, f.name))
+        ] + self._tone_mismatches(other)
+
+    def completed(self, carried: ArrayGeometry) -> ArrayGeometry:
+        """This description of an array with what another one of it knows besides.
+
+        That is the calibration, where there is none here, and what else is dead.
+        """
+        return replace(
+            self,
+            calibration=self.calibration or carried.calibration,
+            dead_antennas=tuple(sorted({*self.dead_antennas, *carried.dead_antennas})),
+            dead_tones=tuple(sorted({*self.dead_tones, *carried.dead_tones})),
+        )
+
+    def _tone_mismatches(self, other: ArrayGeometry) -> list[str]:
+        ours, theirs = self.tone_numbers, other.tone_numbers
+        if len(ours) != len(theirs) or (ours == theirs).all():  # another number has been told already
+            return []
+        n = int(np.flatnonzero(ours != theirs)[0])
+        return [f"tones: subcarrier {n} is number {ours[n]} against {theirs[n]}"]
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON and metadata; `from_dict` reads them back."""
-        return asdict(self)
+        """Plain values, for JSON and metadata; `from_dict` reads them back.
+
+        Tones that are 0 ... N_S - 1 and nothing dead go without saying, as in files from before they could
+        be told.
+        """
+        values = asdict(self)
+        for name in ("tones", "dead_antennas", "dead_tones"):
+            if not values[name]:
+                del values[name]
+        return values
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> ArrayGeometry:
@@ -192,3 +283,21 @@ def _same(a: Any, b: Any) -> bool:
     if a is None or b is None or isinstance(a, str):
         return bool(a == b)
     return bool(np.allclose(a, b, rtol=1e-6, atol=1e-9))
+
+
+def _ascending(name: str, values: Any) -> tuple[int, ...]:
+    whole = isinstance(values, tuple | list | np.ndarray) and all(
+        isinstance(v, int | np.integer) and not isinstance(v, bool) for v in values
+    )
+    if not whole:
+        raise ValueError(f"{name} must be whole numbers, not {values!r}")
+    numbers = tuple(int(v) for v in values)
+    if any(b <= a for a, b in pairwise(numbers)):
+        raise ValueError(f"{name} must ascend, each number once, not {list(numbers)}")
+    return numbers
+
+
+def _without(size: int, dead: tuple[int, ...]) -> NDArray[np.bool_]:
+    live = np.ones(size, np.bool_)
+    live[list(dead)] = False
+    return live

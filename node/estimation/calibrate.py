@@ -34,8 +34,7 @@ def spherical(array: ArrayGeometry, position: NDArray[Any]) -> Complex:
     """Spherical waves from world positions (P, 3): complex (P, N_R, N_S), amplitude 1 / distance."""
     offset = array.element_positions() - np.asarray(position, np.float64)[:, None, :]
     distance = np.linalg.norm(offset, axis=2)
-    frequency = array.carrier_hz + array.subcarrier_spacing_hz * np.arange(array.subcarriers)
-    turns = distance[:, :, None] * (frequency / array.light_speed_m_s)
+    turns = distance[:, :, None] * (array.frequencies_hz / array.light_speed_m_s)
     waves: Complex = np.exp(-2j * np.pi * turns) / distance[:, :, None]
     return waves
 

@@ -105,6 +105,8 @@ def resolve_array(
 ) -> ArrayGeometry:
     """The array that the source measures with; a calibration in `[array]` goes before one that it carries.
 
+    What is dead adds up.
+
     Raises
     ------
     SetupError
@@ -126,9 +128,7 @@ def resolve_array(
             f'[array] does not fit source "{source_settings.type}": {"; ".join(differences)} '
             "(leave [array] out to take the source's)"
         )
-    if carried is not None and array.calibration is None:
-        array = replace(array, calibration=carried.calibration)
-    return array
+    return array if carried is None else array.completed(carried)
 
 
 def check(settings: NodeSettings) -> list[str]:

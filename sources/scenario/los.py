@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.data.geometry import ArrayGeometry
-from chachart.sources.scenario.phasor import phasor, progression
+from chachart.sources.scenario.phasor import over_tones, phasor
 
 
 class LosChannel:
@@ -33,5 +33,5 @@ class LosChannel:
         distance = np.maximum(distance, array.wavelength_m)
         first = phasor(-distance / array.wavelength_m)
         first *= (distance**-self.exponent).astype(np.float32)
-        wave = progression(first, -distance / array.unambiguous_rho_m, array.subcarriers)
+        wave = over_tones(first, distance * (array.rho_phase / (2 * np.pi)), array.tone_numbers)
         return np.ascontiguousarray(wave.transpose(1, 2, 0))

@@ -23,7 +23,7 @@ from chachart.sources.scenario.clusters import (
     unit_vectors,
 )
 from chachart.sources.scenario.large_scale import LargeScaleFields, Statistics
-from chachart.sources.scenario.phasor import phasor, progression
+from chachart.sources.scenario.phasor import over_tones, phasor, progression
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex64]
@@ -96,7 +96,7 @@ class MultipathChannel:
         along = (self._elements - self._centre) @ np.array(self.array.axis)
         for c in range(metres.shape[1]):
             path = metres[:, c] - cosine[:, c] * along[:, None]
-            out += progression(waves[:, :, c], -path / self.array.unambiguous_rho_m, self.array.subcarriers)
+            out += self._over_tones(waves[:, :, c], path)
         out *= np.sqrt(large.gain).astype(np.float32)
         return np.ascontiguousarray(out.transpose(2, 1, 0))
 
@@ -111,7 +111,11 @@ class MultipathChannel:
         """The direct path (N_S, N_R, K): a spherical wave of the same power on all antennas."""
         distance = np.linalg.norm(position - self._elements[:, None], axis=2)
         first = phasor(-distance / self.array.wavelength_m) * np.sqrt(power).astype(np.float32)
-        return progression(first, -distance / self.array.unambiguous_rho_m, self.array.subcarriers)
+        return self._over_tones(first, distance)
+
+    def _over_tones(self, first: Complexes, path: Floats) -> Complexes:
+        """Waves (N_S, ...) that have gone `path` metres (...), from what they are at the carrier."""
+        return over_tones(first, path * (self.array.rho_phase / (2 * np.pi)), self.array.tone_numbers)
 
     def _clusters_at_array(
         self,

@@ -31,3 +31,17 @@ def progression(first: NDArray[Any], step_cycles: NDArray[np.float64], n: int) -
         np.multiply(out[:more], phasor(done * step_cycles), out=out[done : done + more])
         done += more
     return out
+
+
+def over_tones(
+    first: NDArray[Any], step_cycles: NDArray[np.float64], tones: NDArray[np.int64]
+) -> NDArray[np.complex64]:
+    """first * exp(j 2 pi t step_cycles) for ascending tone numbers t along a new first axis, complex64."""
+    steps = np.diff(tones)
+    first = first * phasor(tones[0] * step_cycles) if tones[0] else first
+    if (steps == steps[:1]).all():
+        return progression(first, step_cycles * (steps[0] if len(steps) else 1), len(tones))
+    out = np.empty((len(tones), *first.shape), np.complex64)
+    for n, tone in enumerate(tones - tones[0]):
+        np.multiply(first, phasor(tone * step_cycles), out=out[n])
+    return out

@@ -15,6 +15,12 @@ from chachart.node.data.geometry import SPEED_OF_LIGHT, ArrayGeometry
 metres = st.floats(-1e4, 1e4)
 
 
+def tones(count: int) -> st.SearchStrategy[tuple[int, ...]]:
+    """`count` ascending numbers."""
+    steps = st.lists(st.integers(1, 9), min_size=count, max_size=count)
+    return steps.map(lambda s: tuple(np.cumsum(s).tolist()))
+
+
 @st.composite
 def arrays(draw: st.DrawFn) -> ArrayGeometry:
     """Arrays of any position and direction."""
@@ -23,15 +29,18 @@ def arrays(draw: st.DrawFn) -> ArrayGeometry:
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
     )
     side = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    subcarriers = draw(st.integers(1, 64))
     broadside = np.cos(turn) * side + np.sin(turn) * np.cross(axis, side)
     return small_array(
         antennas=draw(st.integers(1, 128)),
-        subcarriers=draw(st.integers(1, 2048)),
+        subcarriers=subcarriers,
         carrier_hz=draw(st.floats(1e6, 1e11)),
         position_m=draw(st.tuples(metres, metres, metres)),
         axis=tuple(axis.tolist()),
         broadside=tuple(broadside.tolist()),
         height_m=draw(st.none() | st.floats(0, 100)),
+        tones=draw(st.none() | tones(subcarriers)),
+        dead_tones=tuple(sorted(draw(st.sets(st.integers(1, subcarriers - 1))))) if subcarriers > 1 else (),
         light_speed_m_s=draw(st.sampled_from([SPEED_OF_LIGHT, 3e8])),
     )
 
@@ -102,6 +111,15 @@ def test_phases_and_ranges() -> None:
         ({"axis": (0.0, 2.0, 0.0)}, "axis must be a unit vector"),
         ({"axis": (0.0, 1.0)}, "axis must be a unit vector of 3"),
         ({"broadside": (0.0, 1.0, 0.0)}, "orthogonal"),
+        ({"tones": (0, 1)}, "tones must number all 3 subcarriers, not 2"),
+        ({"tones": (0, 1, 1)}, "tones must ascend"),
+        ({"tones": (0, 1, 2.0)}, "tones must be whole numbers"),
+        ({"tones": (0, 1, 1 << 40)}, "tones must lie within"),
+        ({"tones": (-10_000, 1, 2)}, "tone -10000 would be at a frequency that is not positive"),
+        ({"dead_antennas": (4,)}, "dead_antennas must lie within 0 and 3"),
+        ({"dead_antennas": (-1,)}, "dead_antennas must lie within 0 and 3"),
+        ({"dead_antennas": (True,)}, "dead_antennas must be whole numbers"),
+        ({"dead_tones": (0, 1, 2)}, "dead_tones must leave one that counts"),
     ],
 )
 def test_what_is_no_array_is_refused(changes: dict[str, Any], says: str) -> None:
@@ -136,7 +154,7 @@ def test_a_missing_field_is_refused(name: str) -> None:
 )
 def test_one_strange_value_is_an_array_or_a_value_error(name: str, value: object) -> None:
     if accepted({**small_array().as_dict(), name: value}):
-        assert value is not None or name in ("height_m", "calibration")
+        assert value is not None or name in ("height_m", "calibration", "tones")
 
 
 def test_mismatches_name_the_field() -> None:
@@ -145,3 +163,60 @@ def test_mismatches_name_the_field() -> None:
     [phrase] = small_array().mismatches(small_array(carrier_hz=3e9))
     assert phrase == "carrier_hz: 2000000000.0 against 3000000000.0"
     assert len(small_array().mismatches(small_array(antennas=8, height_m=2.0))) == 2
+
+
+INTEL = (*range(-28, 0, 2), -1, *range(1, 28, 2), 28)
+"""Tones of a 20 MHz Wi-Fi channel that a well-known tool gives."""
+
+
+def test_tones_say_where_the_subcarriers_are() -> None:
+    array = small_array(subcarriers=30, tones=INTEL)
+    np.testing.assert_array_equal(array.tone_numbers, INTEL)
+    np.testing.assert_allclose(array.frequencies_hz[[0, 15]], [2e9 - 28 * 312_500, 2e9 + 312_500])
+    assert array.middle_hz == pytest.approx(2e9 + np.mean(INTEL) * 312_500)
+    np.testing.assert_array_equal(small_array().tone_numbers, [0, 1, 2])
+
+
+@pytest.mark.parametrize(
+    ("tones", "dead", "common"),
+    [
+        (None, (), 1),
+        (INTEL, (), 1),
+        ((0, 2, 6, 8), (), 2),
+        ((0, 2, 3, 6), (2,), 2),
+        ((1, 7, 9, 4 * 6 + 1), (2,), 6),
+    ],
+)
+def test_ranges_repeat_at_the_common_divisor_of_the_tones(
+    tones: tuple[int, ...] | None, dead: tuple[int, ...], common: int
+) -> None:
+    """There, and at no shorter range, all tones that count have turned by whole cycles."""
+    array = small_array(subcarriers=len(tones or range(4)), tones=tones, dead_tones=dead)
+    assert array.unambiguous_rho_m == pytest.approx(SPEED_OF_LIGHT / 312_500 / common)
+    t = array.tone_numbers[array.live_tones]
+    turns = (t - t[0]) * array.rho_phase * array.unambiguous_rho_m / (2 * math.pi)
+    np.testing.assert_allclose(turns, np.rint(turns), atol=1e-9)
+    for part in (2, 3, 5):
+        assert np.abs(turns / part - np.rint(turns / part)).max() > 0.1
+
+
+def test_what_is_dead_adds_up_and_is_no_mismatch() -> None:
+    ours, theirs = small_array(dead_antennas=(1,)), small_array(dead_antennas=(0, 1), dead_tones=(2,))
+    assert ours.mismatches(theirs) == []
+    both = ours.completed(theirs)
+    assert (both.dead_antennas, both.dead_tones) == ((0, 1), (2,))
+    np.testing.assert_array_equal(both.live_antennas, [False, False, True, True])
+    np.testing.assert_array_equal(both.live_tones, [True, True, False])
+
+
+def test_tones_are_compared_by_their_numbers() -> None:
+    assert small_array(tones=(0, 1, 2)).mismatches(small_array()) == []
+    assert small_array(tones=(0, 1, 3)).mismatches(small_array()) == [
+        "tones: subcarrier 2 is number 3 against 2"
+    ]
+    assert len(small_array(subcarriers=2, tones=(0, 1)).mismatches(small_array())) == 1
+
+
+def test_an_array_without_tones_is_described_as_ever() -> None:
+    """So that programs from before tones could be told read it."""
+    assert {"tones", "dead_antennas", "dead_tones"}.isdisjoint(small_array().as_dict())

@@ -9,7 +9,8 @@ from chachart.sources.scenario.layout import place
 def direct(array, position, exponent):
     """h = d^-r exp(-j 2 pi f d / c), spelled out in double precision."""
     distance = np.linalg.norm(position[:, None] - array.element_positions(), axis=2)
-    frequency = array.carrier_hz + array.subcarrier_spacing_hz * np.arange(array.subcarriers)
+    numbers = range(array.subcarriers) if array.tones is None else array.tones
+    frequency = array.carrier_hz + array.subcarrier_spacing_hz * np.array(numbers)
     wave = np.exp(-2j * np.pi * distance[..., None] * frequency / array.light_speed_m_s)
     return distance[..., None] ** -exponent * wave
 
@@ -21,6 +22,8 @@ def direct(array, position, exponent):
         {},
         {"light_speed_m_s": 3e8, "subcarrier_spacing_hz": 312.5e3},
         {"antennas": 5, "subcarriers": 1, "axis": "x", "carrier_hz": 28e9},
+        {"tones": (-28, -26, -3, -1, 1, 2, 28), "subcarrier_spacing_hz": 312.5e3},
+        {"tones": (-4, 0, 4, 8), "subcarrier_spacing_hz": 312.5e3},
         {"antennas": 130, "subcarriers": 100, "subcarrier_spacing_hz": 120e3},
     ],
 )
