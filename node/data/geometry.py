@@ -8,6 +8,7 @@ A linear array cannot tell its two sides apart; the chart takes the broadside on
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import pairwise
@@ -98,7 +99,7 @@ class ArrayGeometry:
             raise ValueError(f"position_m must be 3 numbers, not {self.position_m}")
         axis, broadside = np.asarray(self.axis), np.asarray(self.broadside)
         for name, v in (("axis", axis), ("broadside", broadside)):
-            if v.shape != (3,) or not np.isclose(np.linalg.norm(v), 1.0, atol=1e-6):
+            if v.shape != (3,) or not abs(math.hypot(*v) - 1.0) <= 1e-5:
                 raise ValueError(f"{name} must be a unit vector of 3 numbers, not {getattr(self, name)}")
         if abs(float(axis @ broadside)) > 1e-6:
             raise ValueError(f"broadside {self.broadside} must be orthogonal to axis {self.axis}")

@@ -109,6 +109,7 @@ def test_phases_and_ranges() -> None:
         ({"subcarrier_spacing_hz": math.inf}, "subcarrier_spacing_hz must be positive"),
         ({"element_spacing_m": -1.0}, "element_spacing_m must be positive"),
         ({"axis": (0.0, 2.0, 0.0)}, "axis must be a unit vector"),
+        ({"axis": (0.0, 0.0, 1e200)}, "axis must be a unit vector"),
         ({"axis": (0.0, 1.0)}, "axis must be a unit vector of 3"),
         ({"broadside": (0.0, 1.0, 0.0)}, "orthogonal"),
         ({"tones": (0, 1)}, "tones must number all 3 subcarriers, not 2"),
