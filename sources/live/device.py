@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -23,6 +24,8 @@ from chachart.sources.frontend.retry import Backoff
 log = logging.getLogger(__name__)
 
 MAX_BLOCK_FRAMES = 64
+SETTLE_S = 0.3
+"""After a simulated device has sent its last, it has arrived within this time."""
 
 
 class CodecError(ValueError):
@@ -87,6 +90,27 @@ class Connection(ABC):
         return {}
 
 
+class SimulatedDevice(ABC):
+    """A device in a thread of the node's own, at the other end of real sockets.
+
+    Attributes
+    ----------
+    ended
+        Set when it has played to its end.
+    """
+
+    def __init__(self) -> None:
+        self.ended = threading.Event()
+
+    @abstractmethod
+    def start(self) -> None:
+        """Listen."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """End everything. May be called twice."""
+
+
 class DeviceSettings(SourceSettings):
     """What every live device's source is told."""
 
@@ -95,9 +119,16 @@ class DeviceSettings(SourceSettings):
 
 
 class DeviceSource(Source):
-    """Frames of a device that may go and come back."""
+    """Frames of a device that may go and come back.
+
+    Attributes
+    ----------
+    simulated
+        The simulated device, where the settings ask for one and the source is open.
+    """
 
     settings: DeviceSettings
+    simulated: SimulatedDevice | None
 
     def __init__(self, settings: Any, array: ArrayGeometry) -> None:
         super().__init__(settings, array)
@@ -105,6 +136,8 @@ class DeviceSource(Source):
         self._connection: Connection | None = None
         self._reconnects = 0
         self._next_seq = 0
+        self._ended_s: float | None = None
+        self.simulated = None
 
     @property
     @abstractmethod
@@ -121,9 +154,9 @@ class DeviceSource(Source):
             If that cannot be.
         """
 
-    def _finished(self) -> bool:
-        """Whether nothing will ever come again, as when a simulated device has played to its end."""
-        return False
+    def _simulate(self) -> SimulatedDevice | None:
+        """The simulated device that the settings ask for, not yet started."""
+        return None
 
     def open(self) -> None:
         """Reach the device.
@@ -134,6 +167,9 @@ class DeviceSource(Source):
             If it does not answer, or is not what the settings say.
         """
         try:
+            self.simulated = self._simulate()
+            if self.simulated is not None:
+                self.simulated.start()
             self._connection = self._connect()
         except SetupError:
             self.close()
@@ -159,16 +195,27 @@ class DeviceSource(Source):
         return self._block(frames)
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Let go of the device, and end it if it is simulated."""
         if self._connection is not None:
             self._connection.close()
             self._connection = None
+        if self.simulated is not None:
+            self.simulated.stop()
+            self.simulated = None
+        self._ended_s = None
 
     def details(self) -> dict[str, Any]:
         """The device, whether it is reached, how often it was reached again, and what it says of itself."""
         of_device = {} if self._connection is None else self._connection.details()
         connected = self._connection is not None
         return {"device": self.where, "connected": connected, "reconnects": self._reconnects, **of_device}
+
+    def _finished(self) -> bool:
+        """Whether nothing will ever come again: a simulated device has played to its end."""
+        if self.simulated is None or not self.simulated.ended.is_set():
+            return False
+        self._ended_s = self._ended_s or time.monotonic()
+        return time.monotonic() - self._ended_s >= SETTLE_S
 
     def _step(self, timeout: float) -> list[Frame] | None:
         if self._connection is None:

@@ -17,6 +17,7 @@ from pydantic import Field
 
 from chachart.node.data.settings import Settings
 from chachart.sources.base import EndOfSource, Source
+from chachart.sources.live.device import SimulatedDevice
 from chachart.sources.live.espargos import control, message, stream
 from chachart.sources.live.espargos.calibration import trace_delay_s
 from chachart.sources.live.espargos.cluster import ANTENNAS, Cluster
@@ -58,7 +59,7 @@ class BoardReport:
     references: int = 0
 
 
-class SimulatedBoard:
+class SimulatedBoard(SimulatedDevice):
     """A board that hears what a source says. `start` it, point an `espargos` source at `host`, `stop` it.
 
     Parameters
@@ -72,8 +73,8 @@ class SimulatedBoard:
     """
 
     def __init__(self, source: Source, channel: Channel, faults: BoardFaults) -> None:
+        super().__init__()
         self.report = BoardReport()
-        self.ended = threading.Event()
         self._source, self._channel, self._faults = source, channel, faults
         self._rng = np.random.default_rng(faults.fault_seed)
         self._clock_s = self._rng.uniform(0, faults.clock_ns * 1e-9, ANTENNAS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import select
 import socket
 import time
 from typing import Any, ClassVar, Literal
@@ -12,7 +13,7 @@ from pydantic import Field
 
 from chachart.node.data.counters import Counters
 from chachart.node.data.errors import SetupError
-from chachart.node.data.geometry import SPEED_OF_LIGHT, ArrayGeometry
+from chachart.node.data.geometry import SPEED_OF_LIGHT
 from chachart.node.data.settings import Settings
 from chachart.sources.base import SourceSettings
 from chachart.sources.frontend.clock import DeviceClock
@@ -23,6 +24,7 @@ from chachart.sources.live.device import (
     DeviceSettings,
     DeviceSource,
     Frame,
+    SimulatedDevice,
     count,
 )
 from chachart.sources.live.espargos import calibration, control, stream
@@ -30,7 +32,7 @@ from chachart.sources.live.espargos.board import BoardFaults, SimulatedBoard
 from chachart.sources.live.espargos.calibration import Correction, trace_delay_s
 from chachart.sources.live.espargos.cluster import ANTENNAS, Cluster, Grouping
 from chachart.sources.live.espargos.control import Channel, Controller
-from chachart.sources.live.espargos.message import decode_message
+from chachart.sources.live.espargos.message import TONES, decode_message
 from chachart.sources.simulator import Simulator, SimulatorSettings
 
 log = logging.getLogger(__name__)
@@ -41,7 +43,6 @@ LONGEST_DATAGRAM = 65535
 KEEP_ALIVE_S = 1.0
 SILENCE_S = 5.0
 GREETING_S = 3.0
-SETTLE_S = 0.3
 
 
 class EspargosLoopback(BoardFaults):
@@ -86,11 +87,6 @@ class EspargosSource(DeviceSource):
     Settings: ClassVar[type[SourceSettings]] = EspargosSettings
     settings: EspargosSettings
 
-    def __init__(self, settings: EspargosSettings, array: ArrayGeometry) -> None:
-        super().__init__(settings, array)
-        self._board: SimulatedBoard | None = None
-        self._over: float | None = None
-
     @classmethod
     def problems(cls, settings: EspargosSettings) -> list[str]:
         """Boards named twice."""
@@ -106,39 +102,22 @@ class EspargosSource(DeviceSource):
             "loopback" if self.settings.loopback else ", ".join(board.host for board in self.settings.boards)
         )
 
-    def close(self) -> None:
-        """Stop the stream, and the simulated board."""
-        super().close()
-        if self._board is not None:
-            self._board.stop()
-            self._board = None
+    def _simulate(self) -> SimulatedDevice | None:
+        told = self.settings.loopback
+        if not told:
+            return None
+        loopback = told if isinstance(told, EspargosLoopback) else EspargosLoopback()
+        channel = Channel(loopback.channel_primary, 0)
+        return SimulatedBoard(Simulator(loopback.scenario, self.array), channel, loopback)
 
     def _connect(self) -> Connection:
         boards, port = self.settings.boards, self.settings.udp_port
-        if self.settings.loopback:
-            board = self._simulated()
-            boards, port = (Board(host=board.host),), board.udp_port
+        if isinstance(self.simulated, SimulatedBoard):
+            boards, port = (Board(host=self.simulated.host),), self.simulated.udp_port
         self._check_array(len(boards))
         return Stream(boards, port, self.settings.calibrate_s, self.rejected)
 
-    def _finished(self) -> bool:
-        if self._board is None or not self._board.ended.is_set():
-            return False
-        self._over = self._over or time.monotonic()
-        return time.monotonic() - self._over >= SETTLE_S
-
-    def _simulated(self) -> SimulatedBoard:
-        if self._board is None:
-            told = self.settings.loopback
-            loopback = told if isinstance(told, EspargosLoopback) else EspargosLoopback()
-            source = Simulator(loopback.scenario, self.array)
-            self._board = SimulatedBoard(source, Channel(loopback.channel_primary, 0), loopback)
-            self._board.start()
-        return self._board
-
     def _check_array(self, boards: int) -> None:
-        from chachart.sources.live.espargos.message import TONES
-
         wanted = boards * ANTENNAS, len(TONES)
         if (self.array.antennas, self.array.subcarriers) != wanted:
             raise SetupError(
@@ -178,8 +157,6 @@ class Stream(Connection):
 
     def frames(self, timeout: float) -> list[Frame] | None:
         """See `Connection`."""
-        import select
-
         now = time.monotonic()
         self._keep_alive(now)
         self._calibrate(now)

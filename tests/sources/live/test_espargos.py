@@ -81,9 +81,8 @@ def test_what_is_lost_or_damaged_on_the_way_is_counted_exactly() -> None:
     )
     with EspargosSource(EspargosSettings(loopback=loopback, calibrate_s=0.2), ARRAY) as source:
         blocks = heard(source)
-        board = source._board
-        assert board is not None
-        report = board.report
+        assert isinstance(source.simulated, SimulatedBoard)
+        report = source.simulated.report
         rejected = source.rejected.as_dict()
     assert min(report.dropped, report.corrupted, report.reordered) > 10
     early = rejected.get("calibrating", 0)
