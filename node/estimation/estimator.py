@@ -13,18 +13,17 @@ from chachart.node.data.columns import COLUMNS
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
-from chachart.node.estimation.covariance import Bank, Grouping
+from chachart.node.estimation.covariance import Grouping
 from chachart.node.estimation.fit import misfits
 from chachart.node.estimation.joint import JointLocator
 from chachart.node.estimation.locator import Columns, Locator
+from chachart.node.estimation.memory import Copy, Memory
 from chachart.node.estimation.options import JOINT, Keywords, Options
 from chachart.node.estimation.separate import SeparateLocator
-from chachart.node.estimation.slots import SlotTable
-from chachart.node.estimation.state import SlotState
+from chachart.node.estimation.snapshots import SEEN, counted, joined
+from chachart.node.estimation.state import ROWS, Snapshot
 
 SPECTRUM_POINTS = 512
-LATEST = ("theta", "rho", "theta_std", "rho_std")
-"""What is remembered of a UE's last row, to go with its spectrum."""
 LEAST_ENERGY, MOST_ENERGY = 1e-28, 1e28
 """Sum of |h|^2 of a frame that single precision can work with: covariances are multiplied with each other."""
 
@@ -69,16 +68,7 @@ class ChartEstimator:
         self.array = array
         self.options = Options.of(**options)
         self.rejected = Counters()
-        self._table = SlotTable(self.options.max_ues)
-        self._position = Bank((3,), np.float32, empty=np.nan)
-        self._latest = {name: Bank((), np.float64, empty=np.nan) for name in LATEST}
-        self._locator = self._make_locator(self.options)
-        self._kept = SlotState(
-            table=self._table,
-            position=self._position,
-            latest=SlotState(**self._latest),
-            locator=self._locator,
-        )
+        self._memory = Memory(self.options.max_ues, self._make_locator(self.options))
         self._correct = None if array.calibration is None else array.calibration.corrector()
 
     @property
@@ -89,7 +79,7 @@ class ChartEstimator:
     @property
     def ues(self) -> int:
         """How many UEs are known."""
-        return len(self._table)
+        return len(self._memory.table)
 
     def set_method(self, theta: str, rho: str) -> None:
         """Go on with other methods; their averages start afresh.
@@ -99,9 +89,8 @@ class ChartEstimator:
         ValueError
             If a method is unknown or does not fit the array; the estimator then goes on as before.
         """
-        changed = cast(Keywords, {**self.options.keywords(), "theta": theta, "rho": rho})
-        options = Options.of(**changed)
-        self._locator = self._kept.children["locator"] = self._make_locator(options)
+        options = self._with_method(theta, rho)
+        self._memory.replace_locator(self._make_locator(options))
         self.options = options
 
     def update(self, block: CsiBlock) -> ChartUpdate:
@@ -121,7 +110,7 @@ class ChartEstimator:
         with np.errstate(all="ignore"):
             if self._correct is not None:
                 block = dataclasses.replace(block, csi=self._correct(block.csi))
-            features = self._locator.features(block.csi)
+            features = self._memory.locator.features(block.csi)
             energy = features.energy
         good = (energy > LEAST_ENERGY) & (energy < MOST_ENERGY)
         if not good.all():
@@ -129,23 +118,70 @@ class ChartEstimator:
             if not good.any():
                 return self._nothing()
             block, features = block.take(good), features.take(good)
-        assigned = self._table.assign(block.ue, block.time_ns)
-        self._kept.resize(self._table.capacity)
-        for name in ("position", "latest", "locator"):
-            self._kept.children[name].clear(assigned.new)
-        group = Grouping(assigned.slots)
+        group = Grouping(self._memory.assign(block.ue, block.time_ns).slots)
         position = self._remember(block, group)
-        located = self._locator.estimate(group, features, position)
+        located = self._memory.locator.estimate(group, features, position)
         return self._published(block, group, located, position)
 
     def forget(self, now_ns: int) -> NDArray[np.uint64]:
         """Drop the UEs unseen for `forget_after_s` at `now_ns`; returns them."""
         if self.options.forget_after_s is None:
             return np.zeros(0, np.uint64)
-        slots = self._table.unseen_since(now_ns - round(self.options.forget_after_s * 1e9))
-        gone = self._table.ues(slots)
-        self._table.remove(slots)
+        before_ns = now_ns - round(self.options.forget_after_s * 1e9)
+        table = self._memory.table
+        slots = table.unseen_since(before_ns)
+        gone = table.ues(slots)
+        table.remove(slots)
         return gone
+
+    def snapshot(self) -> Snapshot:
+        """Everything that is known: `restore` goes on from there, here or in another estimator.
+
+        See `copy` for one that is taken piece by piece, and `chachart.node.estimation.snapshots` for several
+        joined, merged or split up.
+        """
+        copy = self.copy()
+        pieces = []
+        while (piece := copy.piece(max(copy.ues, 1))) is not None:
+            pieces.append(piece)
+        return joined(pieces)
+
+    def copy(self, *, touched: bool = False) -> Copy:
+        """A copy of this moment that is taken in pieces, so that estimates need not wait for it.
+
+        Parameters
+        ----------
+        touched
+            Only the UEs that had a frame since the last copy, of either kind, was begun. A change of method
+            touches all.
+        """
+        beside = {
+            "method": np.array([self.options.theta, self.options.rho]),
+            "known": self._memory.table.ues(self._memory.table.slots),
+        }
+        return self._memory.copy(touched=touched, beside=beside | counted(self.rejected.as_dict()))
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go on from a snapshot, forgetting everything else; its method goes on, too.
+
+        Of more UEs than `max_ues` the longest unseen are left out.
+
+        Raises
+        ------
+        ValueError
+            If the snapshot is of another array or other options; nothing has changed then.
+        """
+        snapshot = joined([snapshot])
+        options = self._with_method(*map(str, snapshot["method"]))
+        rows = {name: values for name, values in snapshot.items() if name.endswith(ROWS)}
+        newest = np.sort(np.argsort(rows[SEEN], kind="stable")[-options.max_ues :])
+        memory = Memory(options.max_ues, self._make_locator(options))
+        memory.restore(snapshot | {name: values[newest] for name, values in rows.items()})
+        self._memory.give_up_copy()
+        self._memory, self.options = memory, options
+        self.rejected = Counters()
+        reasons, counts = snapshot["rejected.reasons"], snapshot["rejected.counts"]
+        self.rejected.merge({str(r): int(n) for r, n in zip(reasons, counts, strict=True)})
 
     def spectrum(self, ue: int) -> dict[str, Any] | None:
         """The spectra behind a UE's estimate (largest value 1); None if the UE is unknown.
@@ -155,19 +191,21 @@ class ChartEstimator:
         """
         if not 0 <= ue < 2**64:
             return None
-        slot = int(self._table.lookup(np.array([ue], np.uint64))[0])
-        found = None if slot < 0 else self._locator.spectrum(slot, SPECTRUM_POINTS)
+        slot = int(self._memory.table.lookup(np.array([ue], np.uint64))[0])
+        found = None if slot < 0 else self._memory.locator.spectrum(slot, SPECTRUM_POINTS)
         if found is None:
             return None
-        return found | {name: float(kept.rows[slot]) for name, kept in self._latest.items()}
+        return found | {name: float(kept.rows[slot]) for name, kept in self._memory.latest.items()}
 
     def _make_locator(self, options: Options) -> Locator:
         for name, problem in misfits(options, self.array):
             raise ValueError(f"{name} {problem}")
         make = JointLocator if options.theta == JOINT else SeparateLocator
         locator: Locator = make(self.array, options)
-        locator.resize(self._table.capacity)
         return locator
+
+    def _with_method(self, theta: str, rho: str) -> Options:
+        return Options.of(**cast(Keywords, {**self.options.keywords(), "theta": theta, "rho": rho}))
 
     def _count_rejected(self, energy: NDArray[Any]) -> None:
         for reason, which in (
@@ -180,7 +218,7 @@ class ChartEstimator:
 
     def _remember(self, block: CsiBlock, group: Grouping) -> NDArray[np.float32]:
         """Last known position (U, 3) of the block's UEs."""
-        rows = self._position.rows
+        rows = self._memory.position.rows
         if block.position is not None:
             known = ~np.isnan(block.position.sum(axis=1))
             index = np.where(known[group.order], np.arange(len(known)), -1)
@@ -192,13 +230,13 @@ class ChartEstimator:
     def _published(
         self, block: CsiBlock, group: Grouping, at: Columns, position: NDArray[np.float32]
     ) -> ChartUpdate:
-        for name, kept in self._latest.items():
+        for name, kept in self._memory.latest.items():
             kept.rows[group.slots] = at[name]
         x, y = self.array.chart_xy(at["theta"], at["rho"])
         update = ChartUpdate(
             block.array,
             self.method,
-            self._table.ues(group.slots),
+            self._memory.table.ues(group.slots),
             np.maximum.reduceat(block.time_ns[group.order], group.starts),
             x=x,
             y=y,

@@ -6,6 +6,7 @@ holds a slot number, the slot's own row the UE's id. All operations are vectoris
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -46,6 +47,11 @@ class SlotTable(SlotState):
 
     `capacity` grows geometrically up to `max_ues`; whoever keeps arrays by slot grows them along with it.
 
+    Attributes
+    ----------
+    before_removal
+        Called with slots that are about to be freed, for whoever needs what is kept there.
+
     Raises
     ------
     ValueError
@@ -64,9 +70,11 @@ class SlotTable(SlotState):
         super().__init__()
         self.max_ues = max_ues
         self.capacity = 0
+        self.before_removal: Callable[[Slots], object] = len
         self._ue = np.zeros(0, np.uint64)  # two spare rows at the end, for _FREE and _REMOVED to index
         self._last_seen = np.zeros(0, np.int64)
         self._live = np.zeros(0, np.bool_)
+        self._touched = np.zeros(0, np.bool_)
         self._free = np.zeros(0, np.intp)
         self._free_count = 0
         self._oldest = np.zeros(0, np.intp)
@@ -80,6 +88,19 @@ class SlotTable(SlotState):
     def slots(self) -> Slots:
         """Every slot in use, ascending."""
         return np.flatnonzero(self._live)
+
+    @property
+    def touched(self) -> Slots:
+        """The slots in use that frames came for since the last `untouch`, ascending."""
+        return np.flatnonzero(self._touched)
+
+    def untouch(self) -> None:
+        """Count touched slots from here on."""
+        self._touched[:] = False
+
+    def touch(self, slots: Slots) -> None:
+        """Have those of `slots` that are in use count as touched."""
+        self._touched[slots[self._live[slots]]] = True
 
     def ues(self, slots: Slots) -> Ids:
         """The UEs in `slots`."""
@@ -125,6 +146,7 @@ class SlotTable(SlotState):
             new = self._insert_new(fresh)
             slots[missing] = self.lookup(ue[missing])
         np.maximum.at(self._last_seen, slots, time_ns)
+        self._touched[slots] = True
         return Assignment(slots, new, evicted)
 
     def resize(self, capacity: int) -> None:
@@ -145,8 +167,9 @@ class SlotTable(SlotState):
         """Free `slots` (each in use, none twice)."""
         if not len(slots):
             return
+        self.before_removal(slots)
         self._table[self._entries(slots)] = _REMOVED
-        self._live[slots] = False
+        self._live[slots] = self._touched[slots] = False
         self._last_seen[slots] = _NEVER
         self._free[self._free_count : self._free_count + len(slots)] = slots[::-1]
         self._free_count += len(slots)
@@ -172,6 +195,7 @@ class SlotTable(SlotState):
         elsewhere = self.lookup(ue)
         self.clear(np.union1d(slots, elsewhere[elsewhere >= 0]))
         self._ue[slots], self._last_seen[slots], self._live[slots] = ue, last_seen, True
+        self._touched[slots] = True
         self._oldest, self._oldest_seen = slots[:0], last_seen[:0]
         free = np.flatnonzero(~self._live)[::-1]
         self._free_count = len(free)
@@ -228,6 +252,7 @@ class SlotTable(SlotState):
         self._ue = grown(self._ue[:old], capacity + 2)
         self._last_seen = grown(self._last_seen, capacity)
         self._live = grown(self._live, capacity)
+        self._touched = grown(self._touched, capacity)
         fresh = np.arange(capacity - 1, old - 1, -1)
         free = np.concatenate([fresh, self._free[: self._free_count]])
         self._free_count = len(free)
@@ -247,7 +272,7 @@ class SlotTable(SlotState):
         return ues
 
     def _next_oldest(self, count: int, keep: Slots) -> Slots:
-        """The `count` longest unseen slots, oldest first.
+        """The `count` longest unseen slots, oldest first; of those seen at one time the lower UE first.
 
         A sorted queue of the oldest 1/16 serves many calls: times only grow, so an entry whose time has not
         changed since is still older than everything outside the queue.
@@ -257,8 +282,9 @@ class SlotTable(SlotState):
             if rebuild:
                 live = self.slots
                 size = min(max(len(live) // 16, count + len(keep)), len(live))
-                oldest = live[np.argpartition(self._last_seen[live], size - 1)[:size]]
-                self._oldest = oldest[np.argsort(self._last_seen[oldest], kind="stable")]
+                seen = self._last_seen[live]
+                oldest = live[seen <= np.partition(seen, size - 1)[size - 1]]
+                self._oldest = oldest[np.lexsort((self._ue[oldest], self._last_seen[oldest]))]
                 self._oldest_seen = self._last_seen[self._oldest]
             unchanged = self._live[self._oldest] & (self._last_seen[self._oldest] == self._oldest_seen)
             valid = np.flatnonzero(unchanged & ~np.isin(self._oldest, keep))
