@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +92,44 @@ class CsiBlock:
             self.array, self.seq + start, self.ue[rows], self.time_ns[rows], self.csi[rows], position
         )
 
+    @classmethod
+    def of(
+        cls,
+        csi: ArrayLike,
+        ue: ArrayLike,
+        time_ns: ArrayLike | None = None,
+        position: ArrayLike | None = None,
+        *,
+        array: str = "",
+        seq: int = 0,
+    ) -> CsiBlock:
+        """A block of plain arrays of any numeric type.
+
+        Parameters
+        ----------
+        csi
+            (K, N_R, N_S), or one frame (N_R, N_S).
+        ue, time_ns
+            (K,), or one for all frames; the time is now where it is not told.
+        position
+            (K, 3) or (3,).
+
+        Raises
+        ------
+        ValueError
+            If a shape differs from the above, or a UE or time is no whole number of 64 bits.
+        """
+        frames = np.asarray(csi)
+        if frames.dtype.kind not in "fciu" or frames.ndim not in (2, 3):
+            raise ValueError(
+                f"csi must be (frames, antennas, subcarriers), not {frames.dtype} {frames.shape}"
+            )
+        frames = frames.astype(np.complex64, copy=False).reshape(-1, *frames.shape[-2:])
+        known = None if position is None else _each("position", position, np.float32, (len(frames), 3))
+        now = time.time_ns() if time_ns is None else time_ns
+        ids = _each("ue", ue, np.uint64, frames.shape[:1])
+        return cls(array, seq, ids, _each("time_ns", now, np.int64, frames.shape[:1]), frames, known)
+
     @staticmethod
     def concatenate(blocks: list[CsiBlock]) -> CsiBlock:
         """One block of all frames, in order; `array` and `seq` are the first block's."""
@@ -113,3 +152,19 @@ class CsiBlock:
             np.concatenate([b.csi for b in blocks]),
             position,
         )
+
+
+def _each(name: str, value: ArrayLike, dtype: DTypeLike, shape: tuple[int, ...]) -> NDArray[Any]:
+    """`value` as an array of that type and shape; that of one frame is every frame's."""
+    given = np.asarray(value)
+    if np.dtype(dtype).kind in "iu":
+        if given.dtype.kind not in "iu":
+            given = np.array(value, object)  # numpy takes a list of large and small numbers for floats
+            if not all(isinstance(number, int | np.integer) for number in given.flat):
+                raise ValueError(f"{name} must be whole numbers")
+        limits = np.iinfo(np.dtype(dtype).name)
+        if given.size and not (limits.min <= given.min() and given.max() <= limits.max):
+            raise ValueError(f"{name} must be {limits.dtype}, not {given.min()} to {given.max()}")
+    if given.shape not in (shape, shape[1:]):
+        raise ValueError(f"{name} must be {shape}, not {given.shape}")
+    return np.broadcast_to(given, shape).astype(dtype)

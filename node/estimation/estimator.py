@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Unpack, cast
+from typing import Any, Unpack, cast, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from chachart.node.data.chart import ChartUpdate, Method
 from chachart.node.data.columns import COLUMNS
@@ -58,8 +58,7 @@ class ChartEstimator:
     >>> estimator = ChartEstimator(array, theta="bartlett", rho="music")
     >>> n, s = np.arange(8)[:, None], np.arange(4)
     >>> csi = np.exp(1j * (array.theta_phase * np.cos(1.0) * n + array.rho_phase * 50.0 * s))
-    >>> block = CsiBlock("lab", 0, np.array([1], np.uint64), np.array([0]), csi[None].astype(np.complex64))
-    >>> update = estimator.update(block)
+    >>> update = estimator.update(csi, ue=1)
     >>> round(float(update.rho[0]), 2)
     50.0
     """
@@ -93,17 +92,57 @@ class ChartEstimator:
         self._memory.replace_locator(self._make_locator(options))
         self.options = options
 
-    def update(self, block: CsiBlock) -> ChartUpdate:
-        """Take a block; returns one row per UE of it, in order of first appearance.
+    @overload
+    def update(self, frames: CsiBlock) -> ChartUpdate: ...
+
+    @overload
+    def update(
+        self,
+        frames: ArrayLike,
+        *,
+        ue: ArrayLike,
+        time_ns: ArrayLike | None = None,
+        position: ArrayLike | None = None,
+    ) -> ChartUpdate: ...
+
+    def update(
+        self,
+        frames: CsiBlock | ArrayLike,
+        *,
+        ue: ArrayLike | None = None,
+        time_ns: ArrayLike | None = None,
+        position: ArrayLike | None = None,
+    ) -> ChartUpdate:
+        """Take frames; returns one row per UE of them, in order of first appearance.
 
         Frames that carry nothing or nonsense are counted in `rejected` and not used; a UE of which no frame
         is left has no row. A block of more frames than `max_ues` is taken in pieces; a UE then has the row of
         its last piece, in that place.
+
+        Parameters
+        ----------
+        frames
+            A block, or plain CSI (K, N_R, N_S) with its UEs and, where known, times and positions: see
+            `CsiBlock.of`.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If plain arrays do not go together, or `ue` is missing, or given beside a block.
         """
+        if isinstance(frames, CsiBlock):
+            if not (ue is None and time_ns is None and position is None):
+                raise TypeError("ue, time_ns and position go with plain arrays: a block has its own")
+            return self._update(frames)
+        if ue is None:
+            raise TypeError("ue must say whose frames these are")
+        return self._update(CsiBlock.of(frames, ue, time_ns, position, array=self.array.name))
+
+    def _update(self, block: CsiBlock) -> ChartUpdate:
         if len(block) > self.options.max_ues:
             starts = np.arange(self.options.max_ues, len(block), self.options.max_ues)
             pieces = np.split(np.arange(len(block)), starts)
-            return ChartUpdate.concatenate([self.update(block.take(piece)) for piece in pieces])
+            return ChartUpdate.concatenate([self._update(block.take(piece)) for piece in pieces])
         if block.csi.shape[1:] != (self.array.antennas, self.array.subcarriers):
             self.rejected.add("shape", len(block))
             return self._nothing()

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -81,3 +82,38 @@ def test_cut(frames: int, start: int, count: int) -> None:
     assert cut.seq == 100 + start
     assert np.shares_memory(cut.csi, block.csi)
     assert_same_frames(cut, block.take(np.arange(start, min(start + count, frames))))
+
+
+def test_a_block_of_plain_arrays() -> None:
+    frames = np.arange(24).reshape(2, 4, 3)
+    block = CsiBlock.of(frames, [7, 2**64 - 1], 5, [1, 2, 3], array="lab", seq=9)
+    assert block.ue.tolist() == [7, 2**64 - 1]
+    assert block.time_ns.tolist() == [5, 5]
+    assert np.array_equal(block.csi, frames)
+    assert np.array_equal(block.position, [[1, 2, 3], [1, 2, 3]])
+    assert (block.array, block.seq) == ("lab", 9)
+
+
+def test_one_plain_frame_is_of_now() -> None:
+    before = time.time_ns()
+    block = CsiBlock.of(np.ones((4, 3)), 1)
+    assert block.csi.shape == (1, 4, 3)
+    assert before <= block.time_ns[0] <= time.time_ns()
+    assert block.position is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"csi": np.zeros(5)}, "csi must be"),
+        ({"csi": np.array([[["a"]]])}, "csi must be"),
+        ({"ue": [1, 2, 3]}, r"ue must be \(2,\), not \(3,\)"),
+        ({"ue": [1.0, 2.0]}, "ue must be whole numbers"),
+        ({"ue": [-1, 2]}, "ue must be uint64, not -1 to 2"),
+        ({"time_ns": [2**63, 1]}, "time_ns must be int64"),
+        ({"position": [[1, 2], [3, 4]]}, "position must be"),
+    ],
+)
+def test_plain_arrays_that_do_not_go_together(changes: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        CsiBlock.of(**{"csi": np.ones((2, 4, 3)), "ue": [1, 2], **changes})

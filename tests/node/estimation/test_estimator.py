@@ -52,6 +52,24 @@ def test_frames_of_one_block_are_as_good_as_blocks_of_one_frame(
     assert set(got.ue.tolist()) <= set(range(6))
 
 
+def test_plain_arrays_are_as_good_as_a_block(los: Build) -> None:
+    world = los(4)
+    block = world.block(0.0, np.array([0, 1, 1, 3]), time_ns=7)
+    whole, plain = ChartEstimator(world.array), ChartEstimator(world.array)
+    want = whole.update(block)
+    got = plain.update(block.csi.astype(np.complex128), ue=[0, 1, 1, 3], time_ns=7, position=block.position)
+    assert got.array == "lab"
+    for name in want.columns:
+        assert np.array_equal(want[name], got[name], equal_nan=True), name
+    assert plain.update(block.csi[0], ue=9).ue.tolist() == [9]
+    with pytest.raises(TypeError, match="whose frames"):
+        plain.update(block.csi)  # type: ignore[call-overload]
+    with pytest.raises(TypeError, match="a block has its own"):
+        plain.update(block, ue=block.ue)  # type: ignore[call-overload]
+    with pytest.raises(ValueError, match="ue must be"):
+        plain.update(block.csi, ue=[1])
+
+
 def test_frames_that_carry_nothing_or_nonsense_are_rejected(los: Build) -> None:
     world = los(4)
     block = world.block(0.0, np.arange(4))
