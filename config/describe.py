@@ -12,6 +12,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from chachart.node.data.settings import Means
+
 _PLAIN = {bool: "true or false", int: "a whole number", float: "a number", str: "text", Path: "a path"}
 
 
@@ -95,12 +97,14 @@ def _phrase(kind: Any) -> str:
 
 
 def _bounds(metadata: list[Any]) -> str:
-    """Limits in words, with a leading space: ` from 1 to 64`, ` > 0`, ` like ^a+$`."""
+    """Limits in words, with a leading space: ` from 1 to 64`, ` > 0`, or what a pattern means."""
     found: dict[str, Any] = {}
     for m in metadata:
-        for name in ("gt", "ge", "lt", "le", "min_length", "max_length", "pattern"):
+        if isinstance(m, Means):
+            return f" {m.text}"
+        for name in ("gt", "ge", "lt", "le", "min_length", "max_length"):
             if (value := getattr(m, name, None)) is not None:
-                found[name] = value if name == "pattern" else _number(value)
+                found[name] = _number(value)
     words = []
     if "ge" in found and "le" in found:
         words.append(f"from {found.pop('ge')} to {found.pop('le')}")
@@ -110,8 +114,6 @@ def _bounds(metadata: list[Any]) -> str:
         words.append(f"{found.pop('min_length')} to {found.pop('max_length')} long")
     lengths = {"min_length": "at least", "max_length": "at most"}
     words += [f"{phrase} {found[name]} long" for name, phrase in lengths.items() if name in found]
-    if "pattern" in found:
-        words.append(f"like {found['pattern']}")
     return " " + " and ".join(words) if words else ""
 
 

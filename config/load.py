@@ -163,7 +163,18 @@ class _Loader:
     def _wrong(self, location: Location, problem: str, value: Any = None) -> None:
         origin = "--set " if location in self.overridden else f"{self.name}: "
         shown = f" = {_brief(value)}" if value is not None else ""
-        self.mistakes.append(f"{origin}{'.'.join(map(str, location))}{shown}: {problem}")
+        self.mistakes.append(f"{origin}{self._place(location)}{shown}: {problem}")
+
+    def _place(self, location: Location) -> str:
+        """A location as people write it: a sink by its type, or its place where that does not say which."""
+        if len(location) > 1 and isinstance(number := location[1], int):
+            types = [sink.get("type") for sink in self._sinks()]
+            kind = types[number]
+            key = ".".join(map(str, location[2:]))
+            if isinstance(kind, str) and key != "type" and types.count(kind) == 1:
+                return f"sinks.{kind}.{key}"
+            return f"[[sinks]] number {number + 1}, {key}"
+        return ".".join(map(str, location))
 
     def _table(self, section: str) -> dict[str, Any] | None:
         table = self.document.get(section, {})

@@ -56,7 +56,7 @@ def _locate(document: dict[str, Any], keys: list[str]) -> Location:
     sinks = document.get("sinks")
     sinks = sinks if isinstance(sinks, list) else []
     types = [sink.get("type") if isinstance(sink, dict) else None for sink in sinks]
-    listed = ", ".join(f"{n} ({kind})" for n, kind in enumerate(types)) or "none"
+    listed = ", ".join(str(kind) for kind in types) or "none"
     if keys[1].isdigit():
         numbers = [int(keys[1])] if int(keys[1]) < len(types) else []
     else:
@@ -65,7 +65,7 @@ def _locate(document: dict[str, Any], keys: list[str]) -> Location:
         raise LookupError(f'there is no sink "{keys[1]}"; the configuration has {listed}')
     if len(numbers) > 1:
         raise LookupError(
-            f'several sinks are "{keys[1]}", say which by number; the configuration has {listed}'
+            f'several sinks are "{keys[1]}", say which by its number, from 0; the configuration has {listed}'
         )
     if len(keys) < 3:
         raise LookupError(f"must name a key of the sink, as in sinks.{keys[1]}.key=value")

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
 
 from chachart.node.data.calibration import Calibration
 from chachart.node.data.geometry import SPEED_OF_LIGHT, ArrayGeometry, Vector
-from chachart.node.data.settings import Settings
+from chachart.node.data.settings import Means, Settings
 from chachart.node.files.calibration import load_calibration
 
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -19,7 +19,9 @@ _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 class ArraySettings(Settings):
     """`[array]`: the antenna array and the subcarriers it measures."""
 
-    name: str = Field("lab", min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_-]+$")
+    name: Annotated[str, Means("of 1 to 64 letters, digits, - and _")] = Field(
+        "lab", min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_-]+$"
+    )
     """Which array; goes into topics (`chart.<name>`) and recordings."""
     antennas: int = Field(32, ge=1, le=1024)
     """N_R, elements of the uniform linear array."""
@@ -139,7 +141,7 @@ class QualitySettings(Settings):
     every_s: float = Field(5.0, gt=0)
     """How often quality is computed while the node runs."""
     k: int | None = Field(None, ge=1)
-    """Neighbours for TW and CT; where not set, 5 % of the UEs with a known position."""
+    """Neighbours for TW and CT; where not set, 5 % of the UEs with a known position, at least 5."""
     exact_ues: int = Field(4096, ge=4)
     """Up to so many UEs TW and CT are exact; beyond, they are sampled and carry a standard error."""
 

@@ -15,8 +15,9 @@ not fit gets a `RequestError` in one line and changes nothing.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
@@ -143,5 +144,12 @@ def _first_mistake(error: ValidationError) -> str:
     if mistake["type"] in ("union_tag_invalid", "union_tag_not_found"):
         return f"op must be one of {', '.join(READING + CHANGING)}"
     where = ".".join(str(part) for part in mistake["loc"][1:])
+    if mistake["type"] == "string_pattern_mismatch":
+        return f"{where}: must be a file name that ends in .mcap, of letters, digits, . - and _"
+    if mistake["type"] == "literal_error":
+        known = [str(name) for name in get_args(ThetaMethod if where.endswith("theta") else RhoMethod)]
+        close = get_close_matches(str(mistake["input"]), known, n=1)
+        hint = f'; did you mean "{close[0]}"?' if close else ""
+        return f"{where.split('.')[-1]} must be one of {', '.join(known)}{hint}"
     text = mistake["msg"].removeprefix("Value error, ")
     return f"{where}: {text}" if where else text

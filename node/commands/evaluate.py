@@ -24,7 +24,7 @@ from chachart.node.commands.shared.charting import (
     estimator_for,
     settings_for,
 )
-from chachart.node.commands.shared.cli import check_writable
+from chachart.node.commands.shared.cli import check_figure, check_writable
 from chachart.node.data.extras import require
 from chachart.node.estimation.quality import assess
 from chachart.node.files.recording import RecordingReader
@@ -46,10 +46,10 @@ def run(arguments: argparse.Namespace) -> int:
     SetupError
         If the recording or a setting does not fit.
     """
-    for path in (arguments.chart, arguments.json):
-        if path is not None:
-            check_writable(path, force=True)
+    if arguments.json is not None:
+        check_writable(arguments.json, force=True)
     if arguments.chart is not None:
+        check_figure(arguments.chart)
         require("plot", "--chart:")
     settings = settings_for(arguments, arguments.recording)
     reader = RecordingReader(arguments.recording)

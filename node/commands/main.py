@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK
 """`chachart`: the tools around a node, one module a command, imported when called."""
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from importlib import import_module
 
-from chachart.node.commands.shared.cli import guarded
+from chachart.node.commands.shared.cli import Parser, complete, completed_words, guarded
 from chachart.node.data.version import build
 
 COMMANDS = {
@@ -34,13 +35,14 @@ _TAKEN = {"import"}
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `chachart` with `argv` (the command line if None) and return its exit status."""
     argv = sys.argv[1:] if argv is None else argv
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="chachart", description="Tools for channel charting. The node itself is chachart-node."
     )
     parser.add_argument("--version", action="version", version=f"chachart {build()}")
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
-    called = next((word for word in argv if not word.startswith("-")), None)
-    if called is not None and called not in COMMANDS:
+    completing = completed_words()
+    called = next((word for word in completing or argv if not word.startswith("-")), None)
+    if completing is None and called is not None and called not in COMMANDS:
         close = get_close_matches(called, COMMANDS, n=1)
         hint = f'; did you mean "{close[0]}"?' if close else ""
         parser.error(f'there is no command "{called}", only {", ".join(COMMANDS)}{hint}')
@@ -52,6 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             subparser.formatter_class = argparse.RawDescriptionHelpFormatter
             module.add_arguments(subparser)
             subparser.set_defaults(run=module.run)
+    complete(parser)
     arguments = parser.parse_args(argv)
     return guarded(f"chachart {called}", lambda: arguments.run(arguments))
 

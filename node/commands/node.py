@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK
 """`chachart-node`: runs a node until its source ends, its time is up, or it is told to stop."""
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from rich.logging import RichHandler
 
 from chachart.config.load import load
 from chachart.config.shipped import PLAY
+from chachart.node.commands.shared.cli import Parser, complete
 from chachart.node.data.errors import EX_CONFIG, SetupError
 from chachart.node.data.version import build
 from chachart.node.runtime import logs
@@ -42,7 +44,9 @@ SWITCH_INTERVAL_S = 0.0005
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; gives its exit status: 0, 1 (failed while running), 78 (cannot start as told)."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    complete(parser)
+    options = parser.parse_args(arguments)
     logs.set_up(options.log_format, options.log_level)
     try:
         config, changes = options.config, options.set
@@ -62,8 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EX_CONFIG
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def _parser() -> Parser:
+    parser = Parser(
         prog="chachart-node",
         description="Turn the CSI of an antenna array into a live channel chart.",
         epilog="Without RECORDING and --config the shipped lab.toml is used: a simulated array and the live "
@@ -158,9 +162,7 @@ def _run(plan: Plan, options: argparse.Namespace) -> int:
                 node,
                 signals,
                 options.duration,
-                lambda status: live.update(
-                    Constrain(panel(status), console.width - ROOM_FOR_CTRL_C), refresh=True
-                ),
+                lambda status: live.update(_panel(status, console.width - ROOM_FOR_CTRL_C), refresh=True),
                 PANEL_EVERY_S,
             )
     summary = node.close()
@@ -175,6 +177,10 @@ def _run(plan: Plan, options: argparse.Namespace) -> int:
     for failure in failures:
         print(failure, file=sys.stderr)
     return 1 if failures else 0
+
+
+def _panel(status: dict[str, Any], width: int) -> Constrain:
+    return Constrain(panel(status, width), width)
 
 
 def _follow(

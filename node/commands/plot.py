@@ -17,8 +17,7 @@ from importlib import import_module
 from pathlib import Path
 
 from chachart.node.commands.shared.charting import add_options
-from chachart.node.commands.shared.cli import check_writable
-from chachart.node.data.errors import SetupError
+from chachart.node.commands.shared.cli import FIGURE_FORMATS, check_figure
 from chachart.node.data.extras import require
 
 FIGURES = {
@@ -29,8 +28,6 @@ FIGURES = {
     "calibration": "phase and gain of each antenna, of one or several calibrations",
 }
 """Each figure and what it shows; its module in `figures` has `figure(arguments)`."""
-
-FORMATS = (".png", ".svg", ".pdf")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             type=Path,
             required=True,
             metavar="OUT",
-            help=f"the figure: {', '.join(FORMATS)}",
+            help=f"the figure: {', '.join(FIGURE_FORMATS)}",
         )
         if name == "spectra":
             subparser.add_argument("--ue", type=int, required=True, help="which UE")
@@ -61,10 +58,8 @@ def run(arguments: argparse.Namespace) -> int:
     SetupError
         If a file does not hold what the figure needs, or the figure cannot be written.
     """
-    if arguments.output.suffix.lower() not in FORMATS:
-        raise SetupError(f"{arguments.output} must end in one of {', '.join(FORMATS)}")
+    check_figure(arguments.output)
     require("plot", "chachart plot:")
-    check_writable(arguments.output, force=True)
     module = import_module(f"chachart.node.commands.figures.{arguments.figure}")
     style = import_module("chachart.node.commands.figures.style")
     style.write(arguments.output, lambda: module.figure(arguments))

@@ -3,8 +3,8 @@
     chachart watch                             the default node, on this machine
     chachart watch tcp://lab.example:5556 --ue 17
 
-Dots are coloured by their angle to the array. Where the output is no terminal, a line is printed every
-second, or with --json one JSON object for each chart message.
+Dots are coloured by their angle to the array; q ends it. Where the output is no terminal, a line is printed
+every second, or with --json one JSON object for each chart message.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from rich.style import Style
 from rich.text import Text
 
 from chachart.node.commands.shared.canvas import characters, fit, scatter
+from chachart.node.commands.shared.keyboard import typed
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.columns import COLUMNS
 from chachart.node.net.client import ENDPOINT, Subscription, subscribe
@@ -62,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Watch until Ctrl-C or the end of `--duration`.
+    """Watch until q, Ctrl-C or the end of `--duration`.
 
     Raises
     ------
@@ -75,8 +76,8 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.json:
             _print_json(charts, end)
         elif sys.stdout.isatty():
-            with Live(watch, auto_refresh=False, screen=True) as live:
-                while not _over(end):
+            with Live(watch, auto_refresh=False, screen=True) as live, typed() as pressed:
+                while not _over(end) and "q" not in pressed():
                     watch.receive(REFRESH_S)
                     live.refresh()
         else:

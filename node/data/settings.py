@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from pydantic import BaseModel, ConfigDict
+
+
+@dataclass(frozen=True, slots=True)
+class Means:
+    """What a pattern asks for, in words for people: metadata of a field that has one."""
+
+    text: str
 
 
 class Settings(BaseModel):

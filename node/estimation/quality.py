@@ -28,6 +28,8 @@ from chachart.node.data.geometry import ArrayGeometry
 Points = NDArray[np.float64]
 
 DEFAULT_K_SHARE = 0.05
+LEAST_K = 5
+"""With one neighbour or two, TW and CT are mostly chance; of very few UEs fewer are allowed."""
 TARGET_ERROR = 8e-4
 """Sampling stops once both standard errors are below this ..."""
 MOST_ANCHORS = 4096
@@ -108,7 +110,7 @@ def neighbourhoods(
     Parameters
     ----------
     k
-        Neighbours; None is 5 % of N.
+        Neighbours; None is 5 % of N, but at least `LEAST_K` where N allows it.
     rng
         Draws anchors until both standard errors are below `TARGET_ERROR`. Of a large chart it first draws
         `UNIVERSE` points to rank, and takes as much smaller a k: what counts is the share k / N. None takes
@@ -123,7 +125,7 @@ def neighbourhoods(
     n = len(truth)
     _check(truth, chart)
     if k is None:
-        k = max(round(DEFAULT_K_SHARE * n), 1)
+        k = max(round(DEFAULT_K_SHARE * n), min(LEAST_K, (n - 1) // 2), 1)
     if not 1 <= k < n / 2:
         raise ValueError(f"k must be at least 1 and below half the {n} UEs with a known position, not {k}")
     asked, spaces, order = k, [truth.astype(np.float64), chart.astype(np.float64)], np.arange(n)

@@ -10,8 +10,13 @@ import zmq
 from pydantic import Field
 
 from chachart.node.data.errors import SetupError
+from chachart.node.data.settings import Means
 
-Endpoint = Annotated[str, Field(pattern=r"^(tcp|ipc)://\S+$", max_length=256)]
+Endpoint = Annotated[
+    str,
+    Field(pattern=r"^(tcp|ipc)://\S+$", max_length=256),
+    Means("that is an endpoint, such as tcp://127.0.0.1:5556 or ipc:///run/chart"),
+]
 """A setting that names an endpoint."""
 
 

@@ -12,11 +12,8 @@ from rich.text import Text
 _STATE_STYLE = {"running": "green", "starting": "yellow", "draining": "yellow", "stopped": "dim"}
 
 
-def panel(status: dict[str, Any]) -> Panel:
-    """A status report (`chachart.node.runtime.status.NodeStatus`) as a panel."""
-    figures = Table.grid(padding=(0, 3))
-    for _ in range(4):
-        figures.add_column(justify="left", no_wrap=True)
+def panel(status: dict[str, Any], width: int = 120) -> Panel:
+    """A status report (`chachart.node.runtime.status.NodeStatus`) as a panel of so many columns."""
     latency, quality = status["latency_ms"], status["quality"] or {}
     cells = [
         ("frames in", f"{status['frames_in_per_s']:,.0f}/s"),
@@ -32,11 +29,7 @@ def panel(status: dict[str, Any]) -> Panel:
         ("dropped", counts(status["dropped"])),
         ("rejected", counts(status["rejected"])),
     ]
-    for start in range(0, len(cells), 4):
-        row = [
-            Text.assemble((f"{name} ", "dim"), (value, "bold")) for name, value in cells[start : start + 4]
-        ]
-        figures.add_row(*row)
+    figures = _grid([Text.assemble((f"{name} ", "dim"), (value, "bold")) for name, value in cells], width - 4)
     parts: list[RenderableType] = [figures, Text()]
     parts += [_worker(worker) for worker in status["workers"]]
     parts += [
@@ -51,6 +44,20 @@ def panel(status: dict[str, Any]) -> Panel:
         f" · {method.get('theta')}/{method.get('rho')} · {status['seconds']:.0f} s ",
     )
     return Panel(Group(*parts), title=title, subtitle=" Ctrl-C drains and ends ", title_align="left")
+
+
+def _grid(cells: list[Text], width: int) -> Table:
+    """Cells in rows of as many as the width has room for, four at most; one that is wider wraps."""
+    gap, across = 3, 1
+    for n in (4, 3, 2):
+        columns = [max(cell.cell_len for cell in cells[i::n]) for i in range(n)]
+        if sum(columns) + gap * (n - 1) <= width:
+            across = n
+            break
+    grid = Table.grid(padding=(0, gap))
+    for start in range(0, len(cells), across):
+        grid.add_row(*cells[start : start + across])
+    return grid
 
 
 def line(status: dict[str, Any]) -> str:

@@ -9,14 +9,14 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
-from chachart.node.data.settings import Settings
+from chachart.node.data.settings import Means, Settings
 from chachart.sources.base import EndOfSource, Source
 from chachart.sources.frontend.packet import CsiPacket, Heartbeat, Hello, Packet, SampleFormat, encode
 
@@ -33,7 +33,9 @@ class FaultSettings(Settings):
 
     format: Literal["int8", "int16", "float32"] = "int16"
     """How one real number (I or Q) is sent."""
-    serial_number: str = Field("SIM-1", max_length=16, pattern=r"^[ -~]*$")
+    serial_number: Annotated[str, Means("of at most 16 ASCII characters")] = Field(
+        "SIM-1", max_length=16, pattern=r"^[ -~]*$"
+    )
     """What it says it is."""
     corrupt: float = Field(0.0, ge=0, le=1)
     """Fraction of the frames in which bytes are flipped, lost or inserted on the link."""

@@ -87,9 +87,12 @@ def test_every_section(toml_file: Write) -> None:
         ("[sorce]\nx = 1", "sorce: there is no such section, only array, source"),
         ("[sorce]\nx = 1", 'did you mean "source"?'),
         ("[sinks]\ntype = 'bin'", "sinks: must be a list of tables: [[sinks]]"),
-        ("[[sinks]]\nendpoint = 'x'", "sinks.0.type: is missing; it must be one of"),
-        ("[[sinks]]\ntype = 'bin'\n[[sinks]]\ntype = 'bim'", 'sinks.1.type = "bim": there is no sink "bim"'),
-        ("[[sinks]]\ntype = 'bin'\nendpoint = 5", "sinks.0.endpoint = 5: must be text"),
+        ("[[sinks]]\nendpoint = 'x'", "[[sinks]] number 1, type: is missing; it must be one of"),
+        (
+            "[[sinks]]\ntype = 'bin'\n[[sinks]]\ntype = 'bim'",
+            '[[sinks]] number 2, type = "bim": there is no sink "bim"',
+        ),
+        ("[[sinks]]\ntype = 'bin'\nendpoint = 5", "sinks.bin.endpoint = 5: must be text"),
     ],
 )
 def test_a_mistake_names_key_and_value_and_what_is_allowed(
@@ -199,11 +202,11 @@ def test_another_type_takes_the_place_of_the_whole_table(toml_file: Write) -> No
         ("source.path.x=3", "--set source.path.x=3: path is a value, not a table"),
         (
             "sinks.3.endpoint=x",
-            '--set sinks.3.endpoint=x: there is no sink "3"; the configuration has 0 (bin)',
+            '--set sinks.3.endpoint=x: there is no sink "3"; the configuration has bin',
         ),
         ("sinks.publisher.endpoint=x", 'there is no sink "publisher"'),
         ("sinks.bin=x", "must name a key of the sink"),
-        ("sinks.bin.endpiont=x", 'sinks.0.endpiont = "x": there is no such key; did you mean "endpoint"?'),
+        ("sinks.bin.endpiont=x", 'sinks.bin.endpiont = "x": there is no such key; did you mean "endpoint"?'),
     ],
 )
 def test_mistakes_in_overrides(toml_file: Write, override: str, expected: str) -> None:

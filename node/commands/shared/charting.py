@@ -54,6 +54,12 @@ def settings_for(arguments: argparse.Namespace, recording: Path) -> NodeSettings
     SetupError
         If one does not fit.
     """
+    for change in arguments.set:
+        section = change.partition(".")[0].strip()
+        if section not in ("estimator", "quality"):
+            raise SetupError(
+                f"--set {change}: only [estimator] and [quality] count, the array is the recording's"
+            )
     theta = arguments.theta or ("joint" if arguments.rho == "joint" else Options().theta)
     document = {
         "source": {"type": "recording", "path": str(recording)},

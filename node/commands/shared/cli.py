@@ -2,16 +2,58 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
+from typing import NoReturn
 
 from chachart.node.data.errors import EX_CONFIG, SetupError
 
 EX_INTERRUPTED = 130
 EX_BROKEN_PIPE = 141
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose usage is one line: what must be given; `--help` lists the rest."""
+
+    def format_usage(self) -> str:
+        """The line."""
+        self._shorten()
+        return super().format_usage()
+
+    def format_help(self) -> str:
+        """The line, and everything there is."""
+        self._shorten()
+        return super().format_help()
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong in a line, and end with status 2."""
+        self.exit(2, f"{self.prog}: {message}; `{self.prog} --help` says more\n")
+
+    def _shorten(self) -> None:
+        formatter = self.formatter_class(prog=self.prog)
+        needed = [action for action in self._actions if not action.option_strings or action.required]
+        formatter.add_usage(None, needed, [], prefix="")
+        words = " ".join(formatter.format_help().split()).removeprefix(self.prog).replace("%", "%%")
+        self.usage = f"%(prog)s [OPTIONS]{words}"
+
+
+def completed_words() -> list[str] | None:
+    """The words before the one that a shell wants completed; None where no shell asks."""
+    line = os.environ.get("COMP_LINE") if "_ARGCOMPLETE" in os.environ else None
+    return None if line is None else line[: int(os.environ.get("COMP_POINT", len(line)))].split()[1:]
+
+
+def complete(parser: argparse.ArgumentParser) -> None:
+    """Answer a shell that wants a word completed, if one does and argcomplete is installed."""
+    if completed_words() is not None and find_spec("argcomplete") is not None:
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
 
 
 def guarded(program: str, run: Callable[[], int]) -> int:
@@ -66,6 +108,23 @@ def check_writable(path: Path, force: bool, source: Path | None = None) -> None:
         raise SetupError(f"{path} exists already; --force replaces it")
     if source is not None and path.exists() and source.exists() and path.samefile(source):
         raise SetupError(f"{path} is the file that is read; it cannot be the one that is written as well")
+
+
+FIGURE_FORMATS = (".png", ".svg", ".pdf")
+"""What figures can be."""
+
+
+def check_figure(path: Path) -> None:
+    """Tell early that a figure cannot be written; one that is there is replaced.
+
+    Raises
+    ------
+    SetupError
+        If its name ends in something else than `FIGURE_FORMATS`, or its folder is not there.
+    """
+    if path.suffix.lower() not in FIGURE_FORMATS:
+        raise SetupError(f"{path} must end in one of {', '.join(FIGURE_FORMATS)}")
+    check_writable(path, force=True)
 
 
 @contextmanager

@@ -6,7 +6,8 @@ const drawn = new WeakMap();
 
 /**
  * Draw series over each other.
- * spec: {series: [{x, y, colour, name}], x: {label, range?}, y: {label, range?}, bands: [[from, to]],
+ * spec: {series: [{x, y, colour, name}], x: {label, range?}, y: {label, range?, least?, limits?}, bands: [[from, to]],
+ *        least: the axis spans at least so much; limits: and shows nothing beyond;
  *        marks: [{x, colour, dashed, name}], empty}
  */
 export function curve(canvas, spec) {
@@ -30,7 +31,7 @@ function hover(canvas, at) {
   draw(canvas);
 }
 
-function range(arrays, given) {
+function range(arrays, { range: given, least = 0, limits = [-Infinity, Infinity] } = {}) {
   if (given) return given;
   let low = Infinity;
   let high = -Infinity;
@@ -43,6 +44,10 @@ function range(arrays, given) {
     }
   }
   if (low > high) return [0, 1];
+  if (high - low < least) {
+    const middle = Math.min(Math.max((low + high) / 2, limits[0] + least / 2), limits[1] - least / 2);
+    [low, high] = [middle - least / 2, middle + least / 2];
+  }
   const pad = high > low ? (high - low) * 0.06 : Math.abs(high) * 0.05 || 1;
   return [low - pad, high + pad];
 }
@@ -66,7 +71,7 @@ function draw(canvas) {
     return;
   }
   const [xLow, xHigh] = spec.x.range ?? tight(points.map((s) => s.x));
-  const [yLow, yHigh] = range(points.map((s) => s.y), spec.y.range);
+  const [yLow, yHigh] = range(points.map((s) => s.y), spec.y);
   const yTicks = ticks(yLow, yHigh, height / (32 * ratio));
   const wide = Math.max(...yTicks.map((v) => context.measureText(tickText(v, yTicks)).width), 0);
   const box = { left: wide + 9 * ratio, right: width - 6 * ratio, top: 15 * ratio, bottom: height - 17 * ratio };

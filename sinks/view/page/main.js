@@ -67,6 +67,7 @@ stream.addEventListener('hello', ({ detail }) => {
 stream.addEventListener('chart', ({ detail: frame }) => {
   const first = world.rows === 0;
   world.apply(frame);
+  if (first) takeQuality();
   $('waiting').hidden = world.rows > 0;
   for (const kind of ['theta', 'rho']) if (document.activeElement !== $(kind)) $(kind).value = frame.method[kind];
   if (first && world.rows) measure();
@@ -98,7 +99,7 @@ stream.addEventListener('quality', ({ detail }) => {
 async function takeQuality() {
   showQuality(qualities.at(-1));
   if ($('qualityof').value === 'time') {
-    showQualityOverTime(qualities);
+    showQualityOverTime(qualities, world.knownShare() > 0);
     return;
   }
   try {
@@ -111,6 +112,10 @@ async function takeQuality() {
 // ---- once a second: ranges, key, selected UE --------------------------------------------------------------
 function key() {
   const said = picture.colouring.measure(world);
+  const known = world.rows === 0 || world.knownShare() > 0;
+  for (const option of $('colour').options) if (option.value === 'truth' || option.value === 'error') option.disabled = !known;
+  if (document.activeElement !== $('colour')) $('colour').value = said.by;
+  $('truth').disabled = !known;
   $('keylow').textContent = said.low;
   $('keyhigh').textContent = said.high;
   picture.colouring.key($('keybar'), said.by);
@@ -190,7 +195,8 @@ function choose(id, set) {
 
 function cycle(id) {
   const select = $(id);
-  select.selectedIndex = (select.selectedIndex + 1) % select.options.length;
+  do select.selectedIndex = (select.selectedIndex + 1) % select.options.length;
+  while (select.options[select.selectedIndex].disabled);
   select.dispatchEvent(new Event('change'));
   say(`${id}: ${select.value}`);
 }

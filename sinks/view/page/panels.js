@@ -84,12 +84,14 @@ export function showQuality(report) {
   ]);
 }
 
-/** TW and CT over time; `past` are reports, oldest first. */
-export function showQualityOverTime(past) {
+const QUALITY_AXIS = { label: '', least: 0.004, limits: [0, 1] };
+
+/** TW and CT over time; `past` are reports, oldest first; `known`: whether any UE's position is known. */
+export function showQualityOverTime(past, known) {
   const now = past.at(-1)?.time_ns;
   curve(element('qualityplot'), {
     series: lines(past.map((r) => (r.time_ns - now) / 1e9), past.map((r) => r.tw), past.map((r) => r.ct)),
-    x: { label: 's ago' }, y: { label: '' }, empty: 'needs UEs whose position is known',
+    x: { label: 's ago' }, y: QUALITY_AXIS, empty: known ? 'not worked out yet' : 'needs UEs whose position is known',
   });
 }
 
@@ -97,7 +99,7 @@ export function showQualityOverTime(past) {
 export function showQualityAgainstK(found, empty) {
   curve(element('qualityplot'), {
     series: found ? lines(found.k, found.tw, found.ct) : [],
-    x: { label: 'K' }, y: { label: '' }, empty,
+    x: { label: 'K' }, y: QUALITY_AXIS, empty,
   });
 }
 

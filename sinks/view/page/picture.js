@@ -8,6 +8,7 @@ import { View } from './view.js';
 const TRAIL_ALPHA = 120;
 const TRAILS_EVERY_MS = 500;
 const GLIDE_MS = 70; // time constant with which points follow their estimates
+const OWN_PANE = 0.1; // share of UEs whose truth is known
 
 export class Picture {
   /** `selected(row or -1)` is called on a click. */
@@ -46,9 +47,10 @@ export class Picture {
     this.stale ||= ground;
   }
 
-  /** What the user asked for, as far as a truth is known. */
+  /** What the user asked for, as far as a truth is known: a pane of its own is not for a few UEs of many. */
   get truthShown() {
-    return this.truth !== 'off' && this.world.spread(this.world.true_x) ? this.truth : 'off';
+    const known = this.truth === 'off' ? 0 : this.world.knownShare();
+    return known === 0 ? 'off' : known < OWN_PANE ? 'under' : this.truth;
   }
 
   /** Show all UEs, their truths and the array; stays so until the user moves the view. */

@@ -56,6 +56,9 @@ export class World {
       this.present.clear();
     }
     for (const [name] of frame.columns) this.present.add(name);
+    const method = `${frame.method.theta}/${frame.method.rho}`;
+    if (method !== this.method) this.traces.fill(0); // where another method saw them is no path
+    this.method = method;
     const rows = Uint32Array.from(frame.ue, (ue) => this.#row(ue));
     for (const name of this.numbers) {
       const column = this[name];
@@ -67,7 +70,7 @@ export class World {
       this.time_ns[row] = frame.time_ns[i];
       this.time[row] = Number(frame.time_ns[i]) / 1e6;
       this.epoch[row] = this.version;
-      if (!this.traces[row]) {
+      if (Number.isNaN(this.px[row])) {
         this.px[row] = this.x[row];
         this.py[row] = this.y[row];
       }
@@ -87,6 +90,7 @@ export class World {
       this.index.set(ue, row);
       this.ue[row] = ue;
       this.traces[row] = 0;
+      this.px[row] = NaN; // not drawn yet
     }
     return row;
   }
@@ -137,6 +141,14 @@ export class World {
   /** The data's own clock, in ms since the epoch. */
   now() {
     return this.newest + (performance.now() - this.heard);
+  }
+
+  /** Of how many UEs the true position is known, as a share. */
+  knownShare() {
+    const step = Math.max(1, Math.floor(this.rows / 4000));
+    let known = 0;
+    for (let i = 0; i < this.rows; i += step) known += Number.isFinite(this.true_x[i]);
+    return this.rows ? (known * step) / this.rows : 0;
   }
 
   /** Distance between estimate and truth in metres; NaN where the truth is unknown. */

@@ -110,7 +110,7 @@ def test_a_picture_of_a_kind_that_there_is_not(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["evaluate", str(recording), "--chart", str(tmp_path / "chart.xyz")]) == 78
-    assert "chart.xyz cannot be written" in capsys.readouterr().err
+    assert "chart.xyz must end in one of .png, .svg, .pdf" in capsys.readouterr().err
 
 
 def write(path: Path, csi: np.ndarray, position: np.ndarray | None = None) -> Path:
@@ -151,3 +151,10 @@ def test_nothing_that_can_be_used(tmp_path: Path, capsys: pytest.CaptureFixture[
     path = write(tmp_path / "zero.mcap", np.zeros((5, 4, 8)))
     assert main(["evaluate", str(path)]) == 78
     assert "no frame could be used, of 5 (5 zero)" in capsys.readouterr().err
+
+
+def test_a_setting_that_would_not_count_is_refused(
+    recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["evaluate", str(recording), "--set", "array.antennas=4"]) == 78
+    assert "--set array.antennas=4: only [estimator] and [quality] count" in capsys.readouterr().err

@@ -44,6 +44,35 @@ def test_usage_errors_exit_2(capsys: pytest.CaptureFixture[str]) -> None:
     assert usage_error("config", "--nonsense") == 2
 
 
+def test_a_usage_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert usage_error("import", "a.npz") == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert line.startswith("chachart import: the following arguments are required: OUT.mcap, --csi")
+    assert usage_error("import", "--help") == 0
+    usage = capsys.readouterr().out.partition("\n\n")[0]
+    assert usage.startswith("usage: chachart import [OPTIONS] --csi NAME")
+    assert len(usage.splitlines()) == 1
+
+
+def completed(line: str) -> list[str]:
+    """What a shell that completes `line` is offered."""
+    environment = {**os.environ, "_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line))}
+    read_end, write_end = os.pipe()
+    script = f"exec 8>&{write_end}; exec {sys.executable} -m chachart.node.commands.main"
+    done = subprocess.Popen(["bash", "-c", script], env=environment, pass_fds=[write_end])
+    os.close(write_end)
+    with os.fdopen(read_end) as offered:
+        words = offered.read().replace("\x0b", " ").split()
+    done.wait(20)
+    return words
+
+
+def test_shells_complete_commands_and_options() -> None:
+    pytest.importorskip("argcomplete")
+    assert completed("chachart ev") == ["evaluate"]
+    assert completed("chachart evaluate --the") == ["--theta"]
+
+
 def test_mistakes_are_one_line_each(capsys: pytest.CaptureFixture[str]) -> None:
     def wrong() -> int:
         raise SetupError("one thing\nanother")

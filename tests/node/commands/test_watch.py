@@ -96,6 +96,32 @@ def test_a_picture_in_a_terminal(endpoint: str) -> None:
     assert "worst: 0 (0.0 dB), 1 (0.1 dB)" in text
 
 
+def test_q_ends_it(endpoint: str) -> None:
+    near, far = pty.openpty()
+    command = [*CHACHART, "watch", endpoint]
+    environment = {**os.environ, "TERM": "xterm-256color"}
+    with subprocess.Popen(command, stdin=far, stdout=far, stderr=far, env=environment) as process:
+        os.close(far)
+        seen = b""
+        while b"lab: 500 UEs" not in seen:
+            seen += os.read(near, 65536)
+        os.write(near, b"q")
+        reader = threading.Thread(target=drain, args=(near,))
+        reader.start()
+        assert process.wait(20) == 0
+    reader.join()
+    os.close(near)
+
+
+def drain(terminal: int) -> None:
+    """Read until nobody writes any more."""
+    try:
+        while os.read(terminal, 65536):
+            pass
+    except OSError:
+        return
+
+
 def test_nobody_publishes(tmp_path: Path) -> None:
     command = [*CHACHART, "watch", f"ipc://{tmp_path}/nobody", "--duration", "0.1"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

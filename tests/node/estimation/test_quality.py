@@ -97,3 +97,9 @@ def test_position_errors_after_rotation_reflection_scale_and_shift() -> None:
     assert position_errors(truth, truth[:, ::-1] * 4).max() < 1e-9
     spread = position_errors(truth, np.zeros_like(truth))
     assert spread == pytest.approx(np.linalg.norm(truth - truth.mean(axis=0), axis=1))
+
+
+@pytest.mark.parametrize(("ues", "k"), [(4, 1), (8, 3), (12, 5), (60, 5), (200, 10)])
+def test_few_ues_are_judged_by_more_than_their_one_neighbour(ues: int, k: int) -> None:
+    truth = np.random.default_rng(0).normal(size=(ues, 2))
+    assert neighbourhoods(truth, truth).k == k

@@ -46,7 +46,7 @@ def status(**changes: Any) -> dict[str, Any]:
 def rendered(values: dict[str, Any], width: int = 110) -> str:
     console = Console(width=width, file=io.StringIO())
     with console.capture() as captured:
-        console.print(panel(values))
+        console.print(panel(values, width))
     return captured.get()
 
 
@@ -63,6 +63,22 @@ def test_the_panel_shows_what_matters() -> None:
         "worker 1 restarting",
         "tcp://127.0.0.1:5556",
         "chart.mcap  dropped 7 (sink_failed 7)",
+    ):
+        assert wanted in text
+
+
+@pytest.mark.parametrize("width", [40, 60, 80])
+def test_a_narrow_panel_clips_no_figure(width: int) -> None:
+    text = rendered(status(), width)
+    for wanted in (
+        "4,100/s",
+        "4,090/s",
+        "2,048",
+        "40 frames",
+        "5.5 ms",
+        "9.2 ms",
+        "51,000",
+        "60 (queue_full 60)",
     ):
         assert wanted in text
 
