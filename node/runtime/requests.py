@@ -1,15 +1,5 @@
 """Requests on their way through a running node, and the answers that the main process gives itself.
 
-operation  arguments    answer
-========== ============ ==================================================================================
-status                  `chachart.node.runtime.status.NodeStatus`
-ues                     {ues: [a map of each UE's columns, `chachart.node.data.columns`, ...]}
-chart                   the body of a chart message (protocol 1) and `geometry`, {} before the first estimate
-spectrum   ue           {theta_grid_rad, theta_spectrum, rho_grid_m, rho_spectrum, theta, rho, ...}
-set_method theta, rho   {theta, rho}; holds from the next block on, no frame is lost
-record     on, path     {on, where, received, dropped}; path is needed to start, not to stop
-========== ============ ==================================================================================
-=======
 What can be asked, and what it answers, is `chachart.sinks.base.NodeAccess`; `set_method`, `spectrum`,
 `start_recording` and `stop_recording` go on to the dispatcher, `spectrum` to the worker that has the UE.
 """
