@@ -9,11 +9,16 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from chachart.node.data.calibration import Calibration
-from chachart.node.data.geometry import SPEED_OF_LIGHT, ArrayGeometry, Vector
+from chachart.node.data.elements import circle, grid
+from chachart.node.data.geometry import SPEED_OF_LIGHT, ArrayGeometry, ClockShares
+from chachart.node.data.pose import Sees, Vector
 from chachart.node.data.settings import Means, Settings
+from chachart.node.files.array_files import ArrayFile, read_array_file
 from chachart.node.files.calibration import load_calibration
 
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_SHAPES = ("rows", "columns", "radius_m", "elements", "file")
+Direction = Literal["x", "y", "z", "-x", "-y", "-z"] | Vector
 
 
 class ArraySettings(Settings):
@@ -24,7 +29,21 @@ class ArraySettings(Settings):
     )
     """Which array; goes into topics (`chart.<name>`) and recordings."""
     antennas: int = Field(32, ge=1, le=1024)
-    """N_R, elements of the uniform linear array."""
+    """N_R, elements of a uniform line or a circle; a board or list of elements says it itself."""
+    rows: int | None = Field(None, ge=1, le=1024)
+    """With columns: a board. Element row * columns + column, row 0 on top, column 0 on the left."""
+    columns: int | None = Field(None, ge=1, le=1024)
+    """With rows: a board."""
+    row_spacing_m: float | None = Field(None, gt=0)
+    """Distance between the rows of a board; not set: that between its columns, element_spacing_m."""
+    radius_m: float | None = Field(None, gt=0)
+    """A circle of `antennas`: element 0 towards broadside, the next ones turning to axis."""
+    elements: tuple[Vector, ...] | None = Field(None, examples=[((0.0, 0.05, 0.0), (0.05, 0.0, 0.0))])
+    """Elements one by one: metres along (axis, up, broadside) from position_m."""
+    file: Path | None = None
+    """A file with the elements: .csv (right,up,normal a line), spec.json, or pyespargos .yml."""
+    file_array: int | None = Field(None, ge=0)
+    """Which of the arrays in `file`."""
     carrier_hz: float = Field(2e9, gt=0)
     """Frequency of tone 0; tone k is at carrier_hz + k * subcarrier_spacing_hz."""
     subcarriers: int = Field(32, ge=1, le=16384)
@@ -40,11 +59,19 @@ class ArraySettings(Settings):
     element_spacing_m: float | None = Field(None, gt=0)
     """Distance between neighbouring elements; half a wavelength where it is not set."""
     position_m: Vector = (0.0, 0.0, 10.0)
-    """World position of element 0."""
-    axis: Literal["x", "y", "z", "-x", "-y", "-z"] | Vector = "y"
-    """The direction in which element numbers grow; theta is measured from it."""
-    broadside: Literal["x", "y", "z", "-x", "-y", "-z"] | Vector | None = None
-    """The side that the chart shows; where not set, horizontal, right of the axis (x for axis y)."""
+    """World position of a line's element 0, of the middle of a board or circle, of the origin of elements."""
+    axis: Direction = "y"
+    """The way a line's or row's numbers grow, right as seen from in front; theta is measured from it."""
+    broadside: Direction | None = None
+    """The side that the array looks to; where not set, as `up` has it, or horizontal (x for axis y)."""
+    up: Direction | None = None
+    """Upwards as seen from in front, instead of broadside = axis x up."""
+    sees: Sees | None = None
+    """Where UEs are looked for; not set: a board's front, below a horizontal array, everywhere for others."""
+    clock: str | None = Field(None, min_length=1, max_length=64)
+    """Name of the clock that the array runs by; arrays that share it say the same. Not set: its own."""
+    clock_shares: ClockShares = "time"
+    """What arrays by one clock share: the time of arrival, or only the frequency."""
     height_m: float | None = Field(None, ge=0)
     """Height above the plane of the UEs; where set, slant ranges are projected to that plane."""
     light_speed_m_s: float = Field(SPEED_OF_LIGHT, gt=0)
@@ -54,7 +81,7 @@ class ArraySettings(Settings):
     calibration: Path | None = None
     """A file of `chachart calibrate`, undone in every frame; it has an antenna order of its own."""
 
-    @field_validator("axis", "broadside")
+    @field_validator("axis", "broadside", "up")
     @classmethod
     def _unit(cls, value: Any) -> Any:
         if isinstance(value, tuple):
@@ -70,32 +97,76 @@ class ArraySettings(Settings):
         Raises
         ------
         ValueError
-            If axis and broadside are not orthogonal, or tones or what is dead do not fit.
+            If axis and broadside are not orthogonal, keys do not go together, a file cannot be used, or tones
+            or what is dead do not fit.
         """
-        axis = _vector(self.axis)
-        if self.broadside is not None:
-            broadside = _vector(self.broadside)
-        elif abs(axis[2]) > 0.999:
-            broadside = (1.0, 0.0, 0.0)
+        described = self._described()
+        axis, broadside = self._pose(described)
+        light = self.light_speed_m_s
+        pose: dict[str, Any] = {
+            "axis": axis,
+            "broadside": broadside,
+            "height_m": self.height_m,
+            "light_speed_m_s": light,
+            "sees": self.sees,
+            "clock": self.clock,
+            "clock_shares": self.clock_shares,
+            "tones": self.tones,
+            "dead_antennas": tuple(sorted(set(self.dead_antennas))),
+            "dead_tones": tuple(sorted(set(self.dead_tones))),
+        }
+        band = (self._subcarriers(), self.carrier_hz, self.subcarrier_spacing_hz)
+        position = self.position_m
+        if described is None:
+            spacing = self.element_spacing_m or light / self.carrier_hz / 2
+            return ArrayGeometry(self.name, self.antennas, *band, spacing, position, **pose)
+        if described.position_m is not None and "position_m" not in self.model_fields_set:
+            position = described.position_m
+        return ArrayGeometry.of_elements(self.name, described.elements, *band, position_m=position, **pose)
+
+    def _described(self) -> ArrayFile | None:
+        """The elements, where they are no uniform line."""
+        given = [name for name in _SHAPES if getattr(self, name) is not None]
+        if not given:
+            return None
+        if len(given) > 1 and given != ["rows", "columns"]:
+            raise ValueError(f"{' and '.join(given)} cannot both be set: each is another shape")
+        half_wave = self.light_speed_m_s / self.carrier_hz / 2
+        if self.radius_m is not None:
+            return ArrayFile(circle(self.antennas, self.radius_m))
+        if self.file is not None:
+            found = read_array_file(self.file, self.file_array, self.element_spacing_m)
+        elif self.elements is not None:
+            found = ArrayFile(np.array(self.elements, np.float64).reshape(-1, 3))
         else:
-            side = np.array([axis[1], -axis[0], 0.0])
-            broadside = _tuple(side / np.linalg.norm(side))
-        return ArrayGeometry(
-            name=self.name,
-            antennas=self.antennas,
-            subcarriers=self._subcarriers(),
-            carrier_hz=self.carrier_hz,
-            subcarrier_spacing_hz=self.subcarrier_spacing_hz,
-            element_spacing_m=self.element_spacing_m or self.light_speed_m_s / self.carrier_hz / 2,
-            position_m=self.position_m,
-            axis=axis,
-            broadside=broadside,
-            height_m=self.height_m,
-            light_speed_m_s=self.light_speed_m_s,
-            tones=self.tones,
-            dead_antennas=tuple(sorted(set(self.dead_antennas))),
-            dead_tones=tuple(sorted(set(self.dead_tones))),
-        )
+            spacing = self.element_spacing_m or half_wave
+            found = ArrayFile(grid(self.rows or 1, self.columns or 1, spacing, self.row_spacing_m))
+        if "antennas" in self.model_fields_set and self.antennas != len(found.elements):
+            shape = " and ".join(given)
+            raise ValueError(
+                f"antennas = {self.antennas}, but {shape} make {len(found.elements)}: leave it out"
+            )
+        return found
+
+    def _pose(self, described: ArrayFile | None) -> tuple[Vector, Vector]:
+        """Axis and broadside: as they are set, or else as the file has them."""
+        axis, up = _vector(self.axis), None if self.up is None else _vector(self.up)
+        if described is not None and described.right is not None and "axis" not in self.model_fields_set:
+            axis = described.right
+            up = described.up if self.up is None else up
+        if self.broadside is not None:
+            if self.up is not None:
+                raise ValueError("broadside and up cannot both be set: one follows from the other")
+            return axis, _vector(self.broadside)
+        if up is not None:
+            if abs(float(np.dot(axis, up))) > 1e-3:
+                raise ValueError(f"up {up} must be orthogonal to axis {axis}")
+            normal = np.cross(axis, up)
+            return axis, _tuple(normal / np.linalg.norm(normal))
+        if abs(axis[2]) > 0.999:
+            return axis, (1.0, 0.0, 0.0)
+        side = np.array([axis[1], -axis[0], 0.0])
+        return axis, _tuple(side / np.linalg.norm(side))
 
     def _subcarriers(self) -> int:
         """As many as there are tones, where only those are said."""
@@ -104,7 +175,7 @@ class ArraySettings(Settings):
         return len(self.tones)
 
     def correction(self) -> Calibration | None:
-        """What `antenna_order` or the calibration file says; None where neither is set.
+        """What `antenna_order`, the calibration file or `file` says; None where none is set.
 
         Raises
         ------
@@ -112,9 +183,12 @@ class ArraySettings(Settings):
             If both are set, or the file cannot be read.
         """
         if self.calibration is None:
-            if self.antenna_order is None:
+            order = self.antenna_order
+            if order is None and self.file is not None:
+                order = read_array_file(self.file, self.file_array, self.element_spacing_m).channels
+            if order is None:
                 return None
-            return Calibration.order_only(self.antenna_order, self._subcarriers())
+            return Calibration.order_only(order, self._subcarriers())
         if self.antenna_order is not None:
             raise ValueError("antenna_order cannot be set beside calibration, which has one of its own")
         return load_calibration(self.calibration)

@@ -13,6 +13,7 @@ from chachart.node.commands.shared.cli import Parser, complete, completed_words,
 from chachart.node.data.version import build
 
 COMMANDS = {
+    "array": "say and draw what an array looks like and what it can see",
     "bench": "measure how fast this machine runs chachart",
     "calibrate": "find an array's calibration, and swapped cables, from a recording",
     "config": "print a commented sample configuration",

@@ -10,6 +10,8 @@ EXTRAS = {
     "serial": {"serial": "pyserial", "cobs": "cobs"},
     "can": {"can": "python-can", "isotp": "can-isotp"},
     "formats": {"h5py": "h5py"},
+    "yaml": {"yaml": "pyyaml"},
+    "patterns": {"quadriga_lib": "quadriga-lib"},
     "parquet": {"pyarrow": "pyarrow"},
     "plot": {"matplotlib": "matplotlib", "PIL": "pillow"},
     "bench": {"threadpoolctl": "threadpoolctl"},

@@ -1,9 +1,15 @@
-"""Where an array is and which way it looks: world positions, (theta, rho) and chart coordinates.
+"""Where an array is and which way it looks: world positions, directions, ranges and chart coordinates.
 
-Element n of the array sits at `position_m + n * element_spacing_m * axis`. Seen from the middle of the array,
-which is what all elements together measure from, theta is the cone angle to `axis` in 0..pi and rho the slant
-range. In the chart, y runs along the axis and x along broadside: `x = rho sin(theta)`, `y = rho cos(theta)`.
-A linear array cannot tell its two sides apart; the chart takes the broadside one.
+An array has a pose: `position_m`, `axis` and `broadside`. Seen by somebody in front of it, axis points to the
+right, broadside towards this person, and `up = broadside x axis`. Element n of a uniform line sits at
+`position_m + n * element_spacing_m * axis`; any other array has `elements`, positions along (axis, up,
+broadside) from `position_m`.
+
+Directions are seen from the middle of the array, which is what all elements together measure from: azimuth =
+atan2(d.axis, d.broadside), elevation = asin(d.up), theta the cone angle to `axis` in 0..pi, and rho the slant
+range. A line knows theta alone: its chart has y along the axis and x along broadside, `x = rho sin(theta)`,
+`y = rho cos(theta)`, on the broadside of the two sides that it cannot tell apart. Any other array's chart
+is in world metres.
 """
 
 from __future__ import annotations
@@ -12,12 +18,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from chachart.node.data import elements as layouts
 from chachart.node.data.calibration import Calibration
+from chachart.node.data.pose import Pose, Sees, Vector
 
 SPEED_OF_LIGHT = 299_792_458.0
 """Speed of light in vacuum, m/s."""
@@ -25,13 +33,16 @@ SPEED_OF_LIGHT = 299_792_458.0
 MOST_TONE = 1 << 20
 """Largest number of a tone, either way."""
 
-Vector = tuple[float, float, float]
 FloatArray = NDArray[np.float64]
+ClockShares = Literal["time", "frequency"]
+
+_LATER: Final = ("tones", "dead_antennas", "dead_tones", "elements", "sees", "clock", "clock_shares")
+"""Fields that a description goes without while they are at their defaults, as those of old recordings do."""
 
 
 @dataclass(frozen=True, slots=True)
-class ArrayGeometry:
-    """A uniform linear array and the subcarriers it measures.
+class ArrayGeometry(Pose):
+    """An antenna array, where it is, and the subcarriers it measures; a uniform line if it has no `elements`.
 
     The subcarriers need not be even: `tones` numbers them in steps of `subcarrier_spacing_hz`.
 
@@ -44,11 +55,11 @@ class ArrayGeometry:
     carrier_hz, subcarrier_spacing_hz
         Subcarrier n is at `carrier_hz + tone_numbers[n] * subcarrier_spacing_hz`.
     element_spacing_m
-        Distance d between neighbouring elements.
+        Distance d between neighbouring elements; with `elements`, the least between any two.
     position_m
-        World position of element 0.
+        World position of a line's element 0, or of the origin of `elements`.
     axis, broadside
-        Orthogonal unit vectors: the line of the elements, and the side that the chart shows.
+        Orthogonal unit vectors: the line of the elements (right), the side that the array looks to (normal).
     height_m
         Height of the array above the plane of the UEs; None leaves the slant range unprojected.
     light_speed_m_s
@@ -59,6 +70,14 @@ class ArrayGeometry:
         Numbers of the subcarriers, ascending; None stands for 0 ... N_S - 1.
     dead_antennas, dead_tones
         Elements, and indices of subcarriers, that do not count, ascending. Frames still have them.
+    elements
+        Where they are along (right, up, normal), metres; None for a uniform line.
+    sees
+        Where UEs are looked for: "front" (d.normal > 0), "below", "above" (d.up) or "all"; None as the shape
+        has it: a board sees what is in front, a horizontal array what is below, others see all.
+    clock, clock_shares
+        Name of the clock that the array runs by, None for one of its own; arrays by one clock share time, or
+        only frequency.
 
     Raises
     ------
@@ -81,6 +100,10 @@ class ArrayGeometry:
     tones: tuple[int, ...] | None = None
     dead_antennas: tuple[int, ...] = ()
     dead_tones: tuple[int, ...] = ()
+    elements: tuple[Vector, ...] | None = None
+    sees: Sees | None = None
+    clock: str | None = None
+    clock_shares: ClockShares = "time"
 
     def __post_init__(self) -> None:
         if type(self.name) is not str or not self.name:
@@ -104,6 +127,7 @@ class ArrayGeometry:
         if abs(float(axis @ broadside)) > 1e-6:
             raise ValueError(f"broadside {self.broadside} must be orthogonal to axis {self.axis}")
         self._check_numbers()
+        self._check_elements()
         c = self.calibration
         if c is not None and (c.antennas, c.subcarriers) != (self.antennas, self.subcarriers):
             raise ValueError(
@@ -131,10 +155,19 @@ class ArrayGeometry:
             if len(dead) == size:
                 raise ValueError(f"{name} must leave one that counts, not name all {size}")
 
-    @property
-    def wavelength_m(self) -> float:
-        """Wavelength at the carrier."""
-        return self.light_speed_m_s / self.carrier_hz
+    def _check_elements(self) -> None:
+        if self.elements is not None:
+            layouts.check(self.elements, self.antennas, 1e-3 * self.wavelength_m)
+        for name, value, known in (
+            ("sees", self.sees, (None, "front", "below", "above", "all")),
+            ("clock_shares", self.clock_shares, ("time", "frequency")),
+        ):
+            if value not in known:
+                raise ValueError(
+                    f"{name} must be one of {', '.join(str(k) for k in known if k)}, not {value!r}"
+                )
+        if self.clock is not None and (type(self.clock) is not str or not self.clock):
+            raise ValueError(f"clock must be a name, not {self.clock!r}")
 
     @property
     def theta_phase(self) -> float:
@@ -181,40 +214,34 @@ class ArrayGeometry:
         common = max(int(np.gcd.reduce(steps)), 1) if len(steps) else 1
         return self.light_speed_m_s / (self.subcarrier_spacing_hz * common)
 
-    def element_positions(self) -> FloatArray:
-        """World positions of the elements, (antennas, 3) in metres."""
-        steps = np.arange(self.antennas, dtype=np.float64)[:, None] * self.element_spacing_m
-        return np.asarray(self.position_m, np.float64) + steps * np.asarray(self.axis, np.float64)
+    @classmethod
+    def of_elements(
+        cls,
+        name: str,
+        elements: NDArray[Any],
+        subcarriers: int,
+        carrier_hz: float,
+        subcarrier_spacing_hz: float,
+        **others: Any,
+    ) -> ArrayGeometry:
+        """An array of any shape: `elements` (N, 3) along (right, up, normal); `others` are further fields.
 
-    @property
-    def centre_m(self) -> FloatArray:
-        """World position (3,) of the middle of the array, the chart's origin."""
-        middle: FloatArray = self.element_positions().mean(axis=0)
-        return middle
-
-    def theta_rho(self, position: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
-        """True cone angle (rad) and slant range (m) of world positions (..., 3), from the array's middle."""
-        offset = np.asarray(position, np.float64) - self.centre_m
-        rho: FloatArray = np.linalg.norm(offset, axis=-1)
-        cosine = np.divide(offset @ np.asarray(self.axis), rho, out=np.zeros_like(rho), where=rho > 0)
-        return np.arccos(np.clip(cosine, -1.0, 1.0)), rho
-
-    def chart_xy(self, theta: NDArray[Any], rho: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
-        """Chart coordinates (m) of cone angles (rad) and slant ranges (m).
-
-        Where `height_m` is set, the slant range is projected to the plane of the UEs; a range too short to
-        reach the plane lands on x = 0.
+        `chachart.node.data.elements` has boards and circles.
         """
-        theta, rho = np.asarray(theta, np.float64), np.asarray(rho, np.float64)
-        x, y = rho * np.sin(theta), rho * np.cos(theta)
-        if self.height_m is not None:
-            x = np.sqrt(np.maximum(x * x - self.height_m**2, 0.0))
-        return x, y
-
-    def chart_of(self, position: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
-        """Chart coordinates (m) of world positions (..., 3): x along broadside, y along the axis."""
-        offset = np.asarray(position, np.float64) - self.centre_m
-        return offset @ np.asarray(self.broadside), offset @ np.asarray(self.axis)
+        places = np.asarray(elements, np.float64)
+        layouts.check(places, len(places), 0.0)
+        light = others.get("light_speed_m_s", SPEED_OF_LIGHT)
+        apart = layouts.least_distance(places) if len(places) > 1 else light / carrier_hz / 2
+        return cls(
+            name=name,
+            antennas=len(places),
+            subcarriers=subcarriers,
+            carrier_hz=carrier_hz,
+            subcarrier_spacing_hz=subcarrier_spacing_hz,
+            element_spacing_m=apart,
+            elements=tuple((float(x), float(y), float(z)) for x, y, z in places),
+            **others,
+        )
 
     def mismatches(self, other: ArrayGeometry) -> list[str]:
         """What differs between two descriptions of one array, one phrase a field.
@@ -223,7 +250,7 @@ class ArrayGeometry:
         """
         free = ("name", "calibration", "dead_antennas", "dead_tones", "tones")
         return [
-            f"{f.name}: {getattr(self, f.name)} against {getattr(other, f.name)}"
+            f"{f.name}: {_brief(getattr(self, f.name))} against {_brief(getattr(other, f.name))}"
             for f in fields(self)
             if f.name not in free and not _same(getattr(self, f.name), getattr(other, f.name))
         ] + self._tone_mismatches(other)
@@ -250,14 +277,10 @@ class ArrayGeometry:
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON and metadata; `from_dict` reads them back.
 
-        Tones that are 0 ... N_S - 1 and nothing dead go without saying, as in files from before they could
-        be told.
+        What could not be told once goes without saying while it is as it was then.
         """
-        values = asdict(self)
-        for name in ("tones", "dead_antennas", "dead_tones"):
-            if not values[name]:
-                del values[name]
-        return values
+        left_out = {f.name for f in fields(self) if f.name in _LATER and getattr(self, f.name) == f.default}
+        return {name: value for name, value in asdict(self).items() if name not in left_out}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> ArrayGeometry:
@@ -272,6 +295,8 @@ class ArrayGeometry:
         if unknown := sorted(set(values) - known):
             raise ValueError(f"unknown array fields: {', '.join(unknown)}")
         plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        if isinstance(plain.get("elements"), tuple):
+            plain["elements"] = tuple(tuple(p) if isinstance(p, list) else p for p in plain["elements"])
         if plain.get("calibration") is not None:
             plain["calibration"] = Calibration.from_dict(plain["calibration"])
         try:
@@ -283,7 +308,12 @@ class ArrayGeometry:
 def _same(a: Any, b: Any) -> bool:
     if a is None or b is None or isinstance(a, str):
         return bool(a == b)
-    return bool(np.allclose(a, b, rtol=1e-6, atol=1e-9))
+    return np.shape(a) == np.shape(b) and bool(np.allclose(a, b, rtol=1e-6, atol=1e-9))
+
+
+def _brief(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def _ascending(name: str, values: Any) -> tuple[int, ...]:

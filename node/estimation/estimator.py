@@ -64,6 +64,8 @@ class ChartEstimator:
     """
 
     def __init__(self, array: ArrayGeometry, **options: Unpack[Keywords]) -> None:
+        if not array.is_line:
+            raise ValueError("array must be a uniform line: directions of others are not estimated yet")
         self.array = array
         self.options = Options.of(**options)
         self.rejected = Counters()

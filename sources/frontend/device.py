@@ -283,4 +283,5 @@ def _hello(array: ArrayGeometry, seq: int, time_ns: int, serial: str) -> Hello:
         array.subcarrier_spacing_hz,
         array.element_spacing_m,
         serial,
+        array.elements,
     )

@@ -24,6 +24,7 @@ _CSI = struct.Struct("<QHHf")  # UE, antennas, subcarriers, scale
 _HELLO = struct.Struct(
     f"<HHfdd{MAX_SERIAL}s"
 )  # antennas, subcarriers, element spacing, carrier, spacing, serial
+_ELEMENT = struct.Struct("<3f")  # after a hello, one for each antenna or none at all
 _CRC = struct.Struct("<I")
 
 MIN_PACKET_BYTES = _HEADER.size + _CRC.size
@@ -124,6 +125,8 @@ class Hello:
     """Who a front-end is and what it measures, sent when it starts and every few seconds.
 
     `seq` is the number its next CSI packet will have. `element_spacing_m` is 0 where it does not know.
+    `elements` are positions (antennas, 3) along right, up and normal, in metres; None of a uniform line, or
+    where it does not know.
     """
 
     seq: int
@@ -134,6 +137,7 @@ class Hello:
     subcarrier_spacing_hz: float
     element_spacing_m: float
     serial: str
+    elements: tuple[tuple[float, float, float], ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +158,7 @@ def csi_packet_bytes(antennas: int, subcarriers: int, fmt: SampleFormat) -> int:
 
 def max_packet_bytes(antennas: int, subcarriers: int) -> int:
     """Length of the longest packet that a front-end of this shape sends."""
-    hello = _HEADER.size + _HELLO.size + _CRC.size
+    hello = _HEADER.size + _HELLO.size + antennas * _ELEMENT.size + _CRC.size
     return max(hello, csi_packet_bytes(antennas, subcarriers, SampleFormat.FLOAT32))
 
 
@@ -184,6 +188,7 @@ def encode(packet: Packet) -> bytes:
                 packet.subcarrier_spacing_hz,
                 packet.serial.encode("ascii")[:MAX_SERIAL],
             )
+            body += b"".join(_ELEMENT.pack(*place) for place in packet.elements or ())
         else:
             head = _HEADER.pack(VERSION, PacketType.HEARTBEAT, 0, packet.seq, packet.time_ns)
             body = b""
@@ -245,9 +250,9 @@ def _decode_csi(body: memoryview, fmt: int, seq: int, time_ns: int) -> CsiPacket
 
 
 def _decode_hello(body: memoryview, seq: int, time_ns: int) -> Hello:
-    if len(body) != _HELLO.size:
-        raise PacketError("size", f"a hello's body has {_HELLO.size} bytes, not {len(body)}")
-    antennas, subcarriers, spacing, carrier, subcarrier_spacing, serial = _HELLO.unpack(body)
+    if len(body) < _HELLO.size:
+        raise PacketError("size", f"a hello's body has {_HELLO.size} bytes or more, not {len(body)}")
+    antennas, subcarriers, spacing, carrier, subcarrier_spacing, serial = _HELLO.unpack_from(body)
     numbers_fit = (
         antennas > 0
         and subcarriers > 0
@@ -256,8 +261,21 @@ def _decode_hello(body: memoryview, seq: int, time_ns: int) -> Hello:
         and spacing >= 0
     )
     text = serial.rstrip(b"\0")
+    rest = body[_HELLO.size :]
+    if len(rest) not in (0, antennas * _ELEMENT.size):
+        raise PacketError("size", f"a hello has {antennas} elements of {_ELEMENT.size} bytes or none")
+    elements = tuple(_ELEMENT.iter_unpack(rest)) or None
+    numbers_fit = numbers_fit and all(math.isfinite(v) for place in elements or () for v in place)
     if not numbers_fit or not all(32 <= c < 127 for c in text):
         raise PacketError("field", "a hello's numbers must be positive and its serial number printable ASCII")
     return Hello(
-        seq, time_ns, antennas, subcarriers, carrier, subcarrier_spacing, spacing, text.decode("ascii")
+        seq,
+        time_ns,
+        antennas,
+        subcarriers,
+        carrier,
+        subcarrier_spacing,
+        spacing,
+        text.decode("ascii"),
+        elements,
     )

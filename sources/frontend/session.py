@@ -18,6 +18,8 @@ log = logging.getLogger(__name__)
 
 WINDOW = 1024
 """A frame so much older than the newest is still taken as late; beyond, the device has restarted."""
+ELEMENT_TOLERANCE = 0.02
+"""Elements so many wavelengths from where they should be are another array's."""
 _MODULUS = 1 << 32
 _HALF = 1 << 31
 
@@ -225,6 +227,14 @@ def _mismatches(hello: Hello, array: ArrayGeometry) -> list[str]:
         for name in ("antennas", "subcarriers", "carrier_hz", "subcarrier_spacing_hz", "element_spacing_m")
         if name != "element_spacing_m" or hello.element_spacing_m
     ]
-    return [
+    wrong = [
         f"{name} = {theirs:g}, not {ours:g}" for name, theirs, ours in pairs if abs(theirs / ours - 1) > 1e-6
     ]
+    if hello.elements is not None and hello.antennas == array.antennas:
+        theirs = np.array(hello.elements)
+        off = np.linalg.norm(theirs - theirs.mean(axis=0) - array.own_elements, axis=1)
+        if off.max() > ELEMENT_TOLERANCE * array.wavelength_m:
+            wrong.append(
+                f"element {int(off.argmax())} is {1000 * off.max():.1f} mm from where [array] has it"
+            )
+    return wrong

@@ -34,7 +34,9 @@ def uncommented(text: str) -> str:
 
 
 def test_keys_that_are_not_set_have_fitting_examples(toml_file: Write) -> None:
-    text = uncommented(sample.configuration())
+    others = ("rows", "columns", "row_spacing_m", "radius_m", "elements", "file", "file_array", "up")
+    lines = uncommented(sample.configuration()).splitlines()
+    text = "\n".join(line for line in lines if not line.startswith(tuple(f"{name} =" for name in others)))
     settings = load(toml_file(text), ["array.broadside=x"])
     assert settings.array is not None
     assert settings.array.element_spacing_m is not None

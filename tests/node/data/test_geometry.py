@@ -10,6 +10,7 @@ from csi_samples import small_array
 from hypothesis import given
 from hypothesis import strategies as st
 
+from chachart.node.data.elements import circle, grid
 from chachart.node.data.geometry import SPEED_OF_LIGHT, ArrayGeometry
 
 metres = st.floats(-1e4, 1e4)
@@ -221,3 +222,60 @@ def test_tones_are_compared_by_their_numbers() -> None:
 def test_an_array_without_tones_is_described_as_ever() -> None:
     """So that programs from before tones could be told read it."""
     assert {"tones", "dead_antennas", "dead_tones"}.isdisjoint(small_array().as_dict())
+
+
+def board(**changes: Any) -> ArrayGeometry:
+    pose: dict[str, Any] = {"position_m": (1.0, 2.0, 3.0), "axis": (0.0, 1.0, 0.0)}
+    return ArrayGeometry.of_elements("board", grid(2, 4, 0.1), 16, 2e9, 1e6, **{**pose, **changes})
+
+
+def test_any_array_survives_json() -> None:
+    array = board(sees="all", clock="hall", clock_shares="frequency")
+    assert ArrayGeometry.from_dict(json.loads(json.dumps(array.as_dict()))) == array
+
+
+def test_a_line_is_described_as_ever() -> None:
+    assert not {"elements", "sees", "clock", "clock_shares"} & set(small_array().as_dict())
+
+
+def test_directions_are_those_of_somebody_in_front() -> None:
+    array = board()
+    np.testing.assert_allclose(np.cross(array.right, array.up), array.normal)
+    np.testing.assert_allclose(array.element_positions()[0], [1, 2 - 0.15, 3 + 0.05])
+    np.testing.assert_allclose(array.towards(array.centre_m + np.array([3.0, 0, 4])), [0, 0.8, 0.6])
+    np.testing.assert_allclose(array.facing, [0, 0, 1])
+    assert ArrayGeometry.of_elements("c", circle(5, 0.1), 1, 2e9, 1e6).facing == pytest.approx([0, -1, 0])
+    assert ArrayGeometry.of_elements("c", circle(5, 0.1), 1, 2e9, 1e6, sees="all").facing is None
+
+
+@given(st.floats(-100, 100), st.floats(-100, 100), st.floats(0.5, 50), st.booleans())
+def test_a_place_is_found_by_range_or_by_the_plane(x: float, y: float, height: float, ranged: bool) -> None:
+    """A board that looks down needs no range where the plane of the UEs is known."""
+    array = board(broadside=(0.0, 0.0, -1.0), height_m=height)
+    point = array.centre_m + np.array([x, y, -height])
+    rho = np.linalg.norm(point - array.centre_m)
+    found = array.world_of(array.towards(point), rho if ranged else np.array(np.nan))
+    np.testing.assert_allclose(found, point, atol=1e-6 * (1 + rho * rho / height))
+    free = ArrayGeometry.from_dict({**array.as_dict(), "height_m": None})
+    np.testing.assert_allclose(free.world_of(free.towards(point), rho), point, atol=1e-9 * rho)
+    np.testing.assert_allclose(array.chart_of(point), point[:2])
+
+
+def test_above_the_horizon_no_plane_is_met() -> None:
+    assert np.isnan(board(height_m=2.0).world_of(np.array([0.0, 0.5, 0.8]), np.array(np.nan))[0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"elements": ((0.0, 0.0, 0.0),) * 4}, "different places"),
+        ({"elements": ((0.0, 0.0, 0.0),)}, "elements must be 4 positions"),
+        ({"elements": ((0.0, 0.0),) * 4}, "elements must be 4 positions"),
+        ({"sees": "behind"}, "sees must be one of front"),
+        ({"clock": ""}, "clock must be a name"),
+        ({"clock_shares": "nothing"}, "clock_shares must be one of time"),
+    ],
+)
+def test_what_is_no_shape_is_refused(changes: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        small_array(**changes)

@@ -43,10 +43,14 @@ HELLO = st.builds(
     st.floats(0, 100, width=32),
     st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=16),
 )
+PLACE = st.tuples(*[st.floats(-100, 100, width=32)] * 3)
+HELLO_WITH_ELEMENTS = st.lists(PLACE, min_size=1, max_size=8).map(
+    lambda places: Hello(1, 2, len(places), 3, 1e9, 1e6, 0.5, "A1", tuple(places))
+)
 HEARTBEAT = st.builds(Heartbeat, SEQ, TIME)
 
 
 @pytest.fixture(scope="session")
 def packets() -> st.SearchStrategy:
     """Any packet a front-end may send."""
-    return st.one_of(CSI, HELLO, HEARTBEAT)
+    return st.one_of(CSI, HELLO, HELLO_WITH_ELEMENTS, HEARTBEAT)

@@ -40,7 +40,17 @@ def test_every_packet_survives_the_way_there_and_back(packets, data):
     back = decode(raw)
     assert type(back) is type(sent)
     assert encode(back) == raw
-    for name in ("seq", "time_ns", "ue", "scale", "antennas", "subcarriers", "carrier_hz", "serial"):
+    for name in (
+        "seq",
+        "time_ns",
+        "ue",
+        "scale",
+        "antennas",
+        "subcarriers",
+        "carrier_hz",
+        "serial",
+        "elements",
+    ):
         assert getattr(back, name, None) == getattr(sent, name, None)
     if isinstance(sent, CsiPacket):
         assert isinstance(back, CsiPacket)
@@ -157,5 +167,5 @@ def test_the_examples_of_the_page_are_what_the_codec_makes():
 
 
 def test_longest_packet_of_a_shape():
-    assert max_packet_bytes(1, 1) == len(encode(Hello(0, 0, 1, 1, 1.0, 1.0, 1.0, "")))
+    assert max_packet_bytes(1, 1) == len(encode(Hello(0, 0, 1, 1, 1.0, 1.0, 1.0, "", ((0, 0, 0),))))
     assert max_packet_bytes(32, 32) == csi_packet_bytes(32, 32, SampleFormat.FLOAT32) == 32 + 8192 + 4

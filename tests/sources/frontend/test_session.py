@@ -4,6 +4,8 @@ import pytest
 from hypothesis import given
 
 from chachart.node.data.counters import Counters
+from chachart.node.data.elements import grid
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.frontend.packet import CsiPacket, Heartbeat, Hello, SampleFormat, encode
 from chachart.sources.frontend.session import WINDOW, Intake, SequenceTracker
 
@@ -153,3 +155,14 @@ def test_any_bytes_are_counted_and_nothing_else(array, pieces):
     for raw in pieces:
         intake.receive("a", raw, 1)
     assert rejected.total() + len(intake) <= len(pieces)
+
+
+def test_a_front_end_with_other_elements_is_another_array():
+    board = ArrayGeometry.of_elements("board", grid(2, 2, 0.075), 3, 2e9, 312_500.0)
+    for spacing, wrong in ((0.075, False), (0.08, True)):
+        rejected = Counters()
+        intake = Intake(board, rejected)
+        places = tuple(map(tuple, (grid(2, 2, spacing) + 1.0).tolist()))
+        intake.receive("a", hello(elements=places), 10**18)
+        intake.receive("a", frame(0), 10**18)
+        assert ("array_mismatch" in rejected.as_dict()) == wrong
