@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -23,10 +23,11 @@ from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.settings import Settings
 from chachart.node.estimation.fit import misfits, unreachable
 from chachart.node.estimation.options import Options
+from chachart.node.net.security import SecuritySettings
 from chachart.sinks.base import SinkSettings
 from chachart.sources.base import SourceSettings
 
-SECTIONS = ("array", "source", "estimator", "workers", "quality", "sinks")
+SECTIONS = ("array", "source", "estimator", "workers", "quality", "security", "sinks")
 
 AnySettings = TypeVar("AnySettings", bound=Settings)
 Location = tuple[str | int, ...]
@@ -54,7 +55,7 @@ class NodeSettings:
     ----------
     array
         None where no `[array]` is given: the source must then carry its own.
-    source, estimator, workers, quality, sinks
+    source, estimator, workers, quality, sinks, security
         The other sections of the configuration.
     """
 
@@ -64,6 +65,7 @@ class NodeSettings:
     workers: WorkersSettings
     quality: QualitySettings
     sinks: tuple[SinkSettings, ...]
+    security: SecuritySettings = field(default_factory=SecuritySettings)
 
 
 def load(path: Path | None = None, overrides: Sequence[str] = (), sinks: Sequence[str] = ()) -> NodeSettings:
@@ -144,6 +146,7 @@ class _Loader:
         estimator = self._section(Options, "estimator")
         workers = self._section(WorkersSettings, "workers")
         quality = self._section(QualitySettings, "quality")
+        security = self._section(SecuritySettings, "security")
         sinks = [self._component("sink", ("sinks", n), table) for n, table in enumerate(self._sinks())]
         geometry = self._geometry(array) if array else None
         if estimator and geometry:
@@ -158,6 +161,7 @@ class _Loader:
             workers,
             quality,
             tuple(cast(SinkSettings, sink) for sink in sinks),
+            cast(SecuritySettings, security),
         )
 
     def _wrong(self, location: Location, problem: str, value: Any = None) -> None:

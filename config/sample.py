@@ -15,6 +15,7 @@ from chachart.config.describe import allowed, alternatives, literal_values, nest
 from chachart.config.registry import Kind, available, settings_class
 from chachart.config.settings import ArraySettings, QualitySettings, WorkersSettings
 from chachart.node.estimation.options import Options
+from chachart.node.net.security import SecuritySettings
 
 TABLE_BEGINS = "<!-- settings: made by `chachart config --table` -->"
 TABLE_ENDS = "<!-- end of settings -->"
@@ -35,6 +36,7 @@ def configuration() -> str:
         _section("[estimator]", Options),
         _section("[workers]", WorkersSettings),
         _section("[quality]", QualitySettings),
+        _section("[security]", SecuritySettings),
         _others("sink"),
         component("sink", "publisher"),
     ]
@@ -61,6 +63,7 @@ def table() -> str:
         ("[estimator]", Options),
         ("[workers]", WorkersSettings),
         ("[quality]", QualitySettings),
+        ("[security]", SecuritySettings),
     ):
         parts.append(_markdown(f"`{header}`", model))
     for kind, header in zip(_KINDS, ("[source]", "[[sinks]]"), strict=True):

@@ -16,6 +16,7 @@ from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.settings import Settings
+from chachart.node.net.security import SecuritySettings
 
 
 class SinkSettings(Settings):
@@ -27,6 +28,10 @@ class SinkSettings(Settings):
     def listens_on(self) -> str | None:
         """The one endpoint that it takes for itself; None where it takes none, or any that is free."""
         return None
+
+    def exposure(self, security: SecuritySettings) -> list[str]:
+        """Why people who should not could reach it, as mistakes of the configuration."""
+        return []
 
 
 class NodeAccess(Protocol):
@@ -96,17 +101,23 @@ class Sink(ABC):
         True for sinks that take the CSI that came in rather than charts.
     lost
         Rows, frames or reports that it took and could not pass on, by reason.
+    refused
+        What it turned away (peers, requests, messages), by reason.
+    security
+        `[security]`; whoever runs the sink sets it before `open`.
     trouble
         Why it cannot do its work at the moment, in one line, or None.
     """
 
     Settings: ClassVar[type[SinkSettings]]
     wants_csi: ClassVar[bool] = False
+    security: SecuritySettings = SecuritySettings()
 
     def __init__(self, settings: Any, array: ArrayGeometry) -> None:
         self.settings = settings
         self.array = array
         self.lost = Counters()
+        self.refused = Counters()
         self.trouble: str | None = None
 
     @classmethod

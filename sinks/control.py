@@ -2,29 +2,31 @@
 
 A request is one message, msgpack or JSON: `{"op": "spectrum", "ue": 7}`. The reply comes in the same
 encoding: `{"ok": true, "result": {...}}` or `{"ok": false, "error": "..."}`; an error has changed nothing.
-From another machine the request must carry `"token"`.
+Once a token is set, requests must carry it as `"token"`.
 """
 
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal, Self
-from urllib.parse import urlsplit
+from typing import Any, Literal
 
 import msgpack
 import zmq
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from chachart.node.data.errors import RequestError, SetupError
 from chachart.node.data.geometry import ArrayGeometry
-from chachart.node.net.endpoints import Endpoint, bind, bind_problems, fixed
+from chachart.node.net.endpoints import Endpoint, bind, bind_problems, fixed, is_local, is_loopback
+from chachart.node.net.limits import GUESSES_AT_ONCE, GUESSES_PER_S, RateLimit, Refusals
+from chachart.node.net.security import Role, SecuritySettings, Tokens, endpoint_exposure
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
 from chachart.sinks.operations import Operations
-from chachart.sinks.web.access import is_loopback, same_token
 
 MAX_REQUEST_BYTES = 16 * 1024
 REQUESTS_A_TICK = 16
+BURST_S = 5.0
 
 
 class ControlSettings(SinkSettings):
@@ -32,23 +34,26 @@ class ControlSettings(SinkSettings):
 
     type: Literal["control"] = "control"
     endpoint: Endpoint = "tcp://127.0.0.1:5557"
-    """Where the REP socket listens; anything but loopback and ipc needs a token."""
+    """Where the REP socket listens; anything but loopback and ipc needs keys, see [security]."""
     spare_ports: int = Field(0, ge=0, le=1000)
     """Where the port is in use, one of so many after it is taken instead; the log says which."""
     token: str | None = Field(None, min_length=16, repr=False)
-    """What requests from other machines must carry: 16 characters or more."""
+    """What requests must carry, 16 characters or more; not set: as [security] says."""
     record_folder: Path = Field(Path("."), validate_default=False)
     """Where recordings go; a request names a file in it and nothing else."""
-
-    @model_validator(mode="after")
-    def _closed_to_strangers(self) -> Self:
-        if self.token is None and not _is_local(self.endpoint):
-            raise ValueError(f"token must be set to listen on {self.endpoint}, which others can reach")
-        return self
 
     def listens_on(self) -> str | None:
         """Its endpoint, unless any free one will do."""
         return fixed(self.endpoint)
+
+    def exposure(self, security: SecuritySettings) -> list[str]:
+        """An endpoint that other machines reach needs keys; without them at least a token."""
+        found = endpoint_exposure('sink "control"', self.endpoint, security)
+        with suppress(SetupError):  # a token that cannot be read is told once, for [security]
+            open_to_all = security.keys is None and not Tokens.of(security, self.token)
+            if not found and open_to_all and not is_local(self.endpoint):
+                found.append(f'sink "control": a token must be set to listen on {self.endpoint} without keys')
+        return found
 
 
 class Control(Sink):
@@ -58,6 +63,7 @@ class Control(Sink):
 
     def __init__(self, settings: ControlSettings, array: ArrayGeometry) -> None:
         super().__init__(settings, array)
+        self.refused = Refusals("control")
         self._operations: Operations | None = None
         self._context: zmq.Context[zmq.Socket[bytes]] | None = None
         self._socket: zmq.Socket[bytes] | None = None
@@ -79,6 +85,10 @@ class Control(Sink):
         if node is None:
             raise ValueError("control needs its node")
         self._operations = Operations(node, self.settings.record_folder)
+        self._tokens = Tokens.of(self.security, self.settings.token)
+        per_s = self.security.max_requests_per_s
+        self._rate = RateLimit(per_s, BURST_S * per_s)
+        self._guesses = RateLimit(GUESSES_PER_S, GUESSES_AT_ONCE)
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.REP)
         self._socket.linger = 500
@@ -122,16 +132,30 @@ class Control(Sink):
         encode = _json if body[:1] == b"{" else _msgpack
         try:
             request = _decode(parts)
-            self._admit(parts[0], request.pop("token", None))
-            return encode({"ok": True, "result": self._operations.perform(request)})
+            role = self._admit(parts[0], request.pop("token", None))
+            return encode({"ok": True, "result": self._operations.perform(request, role)})
         except RequestError as error:
             return encode({"ok": False, "error": str(error)})
 
-    def _admit(self, frame: zmq.Frame, token: Any) -> None:
-        if _is_local(self.settings.endpoint) or is_loopback(str(frame.get("Peer-Address"))):
-            return
-        if not same_token(token, self.settings.token):
-            raise RequestError("a token is needed")
+    def _admit(self, frame: zmq.Frame, token: Any) -> Role:
+        peer = str(frame.get("Peer-Address")) or "ipc"
+        if not self._rate.take(peer):
+            raise self._refusal("too_many_requests", "too many requests: wait a second")
+        if token is not None and self._tokens:
+            if self._guesses.wait_s(peer):
+                raise self._refusal("too_many_guesses", "too many wrong tokens: wait a few seconds")
+            if role := self._tokens.role(token):
+                return role
+            self._guesses.take(peer)
+            raise self._refusal("wrong_token", "that is not the token")
+        local = is_local(self.settings.endpoint) or is_loopback(peer)
+        if local and (self.security.trust_local or not self._tokens):
+            return Role.STEERER
+        raise self._refusal("no_token", "a token is needed")
+
+    def _refusal(self, word: str, reason: str) -> RequestError:
+        self.refused.add(word)
+        return RequestError(reason)
 
 
 def _decode(parts: list[zmq.Frame]) -> dict[str, Any]:
@@ -153,12 +177,3 @@ def _json(reply: dict[str, Any]) -> bytes:
 
 def _msgpack(reply: dict[str, Any]) -> bytes:
     return bytes(msgpack.packb(reply))
-
-
-def _is_local(endpoint: str) -> bool:
-    if endpoint.startswith("ipc://"):
-        return True
-    try:
-        return is_loopback(urlsplit(endpoint).hostname or "")
-    except ValueError:
-        return False

@@ -1,140 +1,14 @@
-"""Prometheus metrics of a node, and the sink that serves them where there is no live view.
-
-All numbers come from the node's latest status report at the moment of the scrape: nothing is counted twice
-and the estimates never wait for monitoring. No metric has a UE as a label.
-"""
+"""Metrics and health of a node that has no live view."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from pathlib import Path
-from typing import Any, Literal
+from typing import ClassVar, Literal
 
-from prometheus_client import CONTENT_TYPE_PLAIN_0_0_4, CollectorRegistry, generate_latest
-from prometheus_client.core import (
-    CounterMetricFamily,
-    GaugeMetricFamily,
-    HistogramMetricFamily,
-    InfoMetricFamily,
-    Metric,
-)
-from prometheus_client.registry import Collector
 from pydantic import Field
 
-from chachart.node.data.geometry import ArrayGeometry
-from chachart.sinks.base import NodeAccess, Sink
-from chachart.sinks.web.health import Health, health_routes
-from chachart.sinks.web.server import Answer, Query, Route, WebServer, WebSettings, port_problems
-
-STATES = ("starting", "running", "draining", "stopped")
-_COUNTS = {
-    "frames_in": "Frames that came in.",
-    "frames_estimated": "Frames behind an estimate.",
-    "gaps": "Frames missing by the source's own numbering.",
-    "out_of_order": "Frames late by the source's own numbering.",
-    "ues_evicted": "UEs that made room for others.",
-    "ues_forgotten": "UEs unseen for too long.",
-}
-_PER_WORKER = {
-    "backlog_frames": "Frames waiting for a worker or unacknowledged by it.",
-    "backlog_blocks": "Blocks waiting for a worker or unacknowledged by it.",
-    "ues": "UEs in a worker's care.",
-}
-_QUALITY = {
-    "tw": ("chachart_trustworthiness", "TW of the latest quality report."),
-    "ct": ("chachart_continuity", "CT of the latest quality report."),
-    "stress": ("chachart_stress", "Kruskal stress of the latest quality report."),
-}
-
-
-def exposition(status: Mapping[str, Any]) -> bytes:
-    """A status report in Prometheus' text format."""
-    registry = CollectorRegistry()
-    registry.register(_Collector(status))
-    return bytes(generate_latest(registry))
-
-
-class _Collector(Collector):
-    def __init__(self, status: Mapping[str, Any]) -> None:
-        self._status = status
-
-    def collect(self) -> Iterator[Metric]:
-        status = self._status
-        if not status:
-            return
-        method = {key: status["method"].get(key, "") for key in ("theta", "rho")}
-        labels = {"array": status["array"], "source": status["source"], **method}
-        yield InfoMetricFamily("chachart_node", "What the node does.", value=labels)
-        state = GaugeMetricFamily("chachart_state", "1 for the state that the node is in.", labels=["state"])
-        for name in STATES:
-            state.add_metric([name], float(status["state"] == name))
-        yield state
-        for key, text in _COUNTS.items():
-            yield CounterMetricFamily(f"chachart_{key}", text, value=status[key])
-        for key, text in (("dropped", "Frames lost on the way"), ("rejected", "Input that was no frame")):
-            yield _by_label(f"chachart_{key}", f"{text}, by reason.", "reason", status[key])
-        yield GaugeMetricFamily("chachart_ues", "UEs on the chart.", value=status["ues"])
-        yield _latency(status["latency_histogram"])
-        yield from self._workers()
-        yield from self._sinks()
-        yield from self._quality()
-
-    def _workers(self) -> Iterator[Metric]:
-        workers = self._status["workers"]
-        yield _by_label(
-            "chachart_worker_restarts",
-            "Times a worker had to be started again.",
-            "worker",
-            {str(worker["shard"]): worker["restarts"] for worker in workers},
-        )
-        for key, text in _PER_WORKER.items():
-            family = GaugeMetricFamily(f"chachart_worker_{key}", text, labels=["worker"])
-            for worker in workers:
-                family.add_metric([str(worker["shard"])], worker.get(key, 0))
-            yield family
-
-    def _sinks(self) -> Iterator[Metric]:
-        received = CounterMetricFamily("chachart_sink_rows", "Rows or frames a sink took.", labels=["sink"])
-        dropped = CounterMetricFamily("chachart_sink_dropped", "Rows or frames a sink lost.", labels=["sink"])
-        recorded = GaugeMetricFamily("chachart_recorder_bytes", "Size of a recording.", labels=["sink"])
-        for number, sink in enumerate(self._status["sinks"]):
-            label = [f"{number}:{sink['name']}"]
-            received.add_metric(label, sink["received"])
-            dropped.add_metric(label, sum(sink["dropped"].values()))
-            if sink["name"] == "recorder" and sink["where"] and (path := Path(sink["where"])).is_file():
-                recorded.add_metric(label, path.stat().st_size)
-        yield from (received, dropped, recorded)
-
-    def _quality(self) -> Iterator[Metric]:
-        report = self._status["quality"] or {}
-        for key, (name, text) in _QUALITY.items():
-            if report.get(key) is not None:
-                yield GaugeMetricFamily(name, text, value=report[key])
-
-
-def _by_label(name: str, text: str, label: str, counts: Mapping[str, int]) -> Metric:
-    family = CounterMetricFamily(name, text, labels=[label])
-    for value, count in sorted(counts.items()):
-        family.add_metric([value], count)
-    return family
-
-
-def _latency(histogram: Mapping[str, Any]) -> Metric:
-    name = "chachart_latency_seconds"
-    family = HistogramMetricFamily(name, "From a frame's arrival to its estimate's hand-over to the sinks.")
-    if histogram:
-        buckets = [(str(le), n) for le, n in zip(histogram["le_s"], histogram["frames"], strict=True)]
-        family.add_metric([], [*buckets, ("+Inf", histogram["total"])], histogram["sum_s"])
-    return family
-
-
-def metrics_routes(node: NodeAccess) -> dict[str, Route]:
-    """`/metrics`, for any web server of a node."""
-
-    def metrics(_: Query) -> Answer:
-        return Answer(exposition(node.status()), CONTENT_TYPE_PLAIN_0_0_4)
-
-    return {"GET /metrics": metrics}
+from chachart.sinks.base import SinkSettings
+from chachart.sinks.web.settings import WebSettings
+from chachart.sinks.web.sink import WebSink
 
 
 class MetricsSettings(WebSettings):
@@ -145,49 +19,8 @@ class MetricsSettings(WebSettings):
     """TCP port; 0 takes a free one."""
 
 
-class Metrics(Sink):
+class Metrics(WebSink):
     """Serves metrics and health over HTTP."""
 
-    Settings = MetricsSettings
-
-    def __init__(self, settings: MetricsSettings, array: ArrayGeometry) -> None:
-        super().__init__(settings, array)
-        self._health = Health(settings.stale_after_s)
-        self._server: WebServer | None = None
-
-    @classmethod
-    def problems(cls, settings: MetricsSettings) -> list[str]:
-        """Whether the port is free."""
-        return port_problems(settings)
-
-    def open(self, node: NodeAccess | None) -> None:
-        """Serve from now on.
-
-        Raises
-        ------
-        SetupError
-            If the port cannot be had.
-        """
-        if node is None:
-            raise ValueError("a metrics sink needs its node")
-        routes = {**health_routes(self._health), **metrics_routes(node)}
-        self._server = WebServer(self.settings, routes)
-        self._server.start()
-
-    def on_status(self, report: dict[str, Any]) -> None:
-        """Keep an eye on the node."""
-        self._health.status(report)
-
-    def on_tick(self) -> None:
-        """The node calls: it lives."""
-        self._health.called()
-
-    def close(self) -> None:
-        """Stop serving."""
-        if self._server is not None:
-            self._server.stop()
-            self._server = None
-
-    def where(self) -> str | None:
-        """The address of the metrics."""
-        return None if self._server is None else f"{self._server.address}/metrics"
+    Settings: ClassVar[type[SinkSettings]] = MetricsSettings
+    page = "/metrics"

@@ -24,6 +24,7 @@ from pydantic import Field, TypeAdapter, ValidationError, model_validator
 from chachart.node.data.errors import RequestError
 from chachart.node.data.methods import RhoMethod, ThetaMethod
 from chachart.node.data.settings import Settings
+from chachart.node.net.security import Role
 from chachart.sinks.base import NodeAccess
 from chachart.sinks.plain import plain
 
@@ -98,14 +99,17 @@ class Operations:
         self._node = node
         self._folder = folder
 
-    def perform(self, request: Mapping[str, Any]) -> dict[str, Any]:
+    def perform(self, request: Mapping[str, Any], role: Role = Role.STEERER) -> dict[str, Any]:
         """Carry out `{"op": ..., arguments ...}` and answer with plain values. May block for seconds.
 
         Raises
         ------
         RequestError
-            If the request does not fit, or the node cannot carry it out; nothing has changed then.
+            If the request does not fit, is beyond `role`, or the node cannot carry it out; nothing has
+            changed then.
         """
+        if role < Role.STEERER and request.get("op") not in READING:
+            raise RequestError(f"who may only read asks {', '.join(READING)}")
         try:
             asked = _REQUESTS.validate_python(dict(request))
         except ValidationError as error:

@@ -14,6 +14,7 @@ from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.net.endpoints import Endpoint, bind, bind_problems, fixed
+from chachart.node.net.security import SecuritySettings, endpoint_exposure
 from chachart.node.net.wire import chart_topic, encode_chart, encode_report
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
 
@@ -35,6 +36,10 @@ class PublisherSettings(SinkSettings):
     def listens_on(self) -> str | None:
         """Its endpoint, unless any free one will do."""
         return fixed(self.endpoint)
+
+    def exposure(self, security: SecuritySettings) -> list[str]:
+        """An endpoint that other machines reach needs keys."""
+        return endpoint_exposure('sink "publisher"', self.endpoint, security)
 
 
 class Publisher(Sink):

@@ -15,6 +15,7 @@ from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.settings import Settings
+from chachart.node.net.security import SecuritySettings
 
 
 class EndOfSource(Exception):
@@ -31,6 +32,10 @@ class SourceSettings(Settings):
         """The one endpoint that it takes for itself; None where it takes none, or any that is free."""
         return None
 
+    def exposure(self, security: SecuritySettings) -> list[str]:
+        """Why people who should not could reach it, as mistakes of the configuration."""
+        return []
+
 
 class Source(ABC):
     """Where CSI comes from.
@@ -44,10 +49,13 @@ class Source(ABC):
         wait (an array); when the node is too slow the oldest waiting block is dropped and counted.
     rejected
         What came in and was no usable frame, counted by reason.
+    security
+        `[security]`; whoever runs the source sets it before `open`.
     """
 
     Settings: ClassVar[type[SourceSettings]]
     lossless: bool = False
+    security: SecuritySettings = SecuritySettings()
 
     def __init__(self, settings: Any, array: ArrayGeometry) -> None:
         self.settings = settings

@@ -15,6 +15,7 @@ from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.net.endpoints import Endpoint, bind, bind_problems, fixed
+from chachart.node.net.security import SecuritySettings, endpoint_exposure
 from chachart.node.net.wire import WireError, decode_csi
 from chachart.sources.base import Source, SourceSettings
 from chachart.sources.checks import usable
@@ -43,6 +44,10 @@ class ZmqSettings(SourceSettings):
     def listens_on(self) -> str | None:
         """Its endpoint, unless any free one will do."""
         return fixed(self.endpoint)
+
+    def exposure(self, security: SecuritySettings) -> list[str]:
+        """An endpoint that other machines reach needs keys."""
+        return endpoint_exposure('source "zmq"', self.endpoint, security)
 
 
 class ZmqSource(Source):

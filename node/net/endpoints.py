@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import socket as socketlib
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,6 +19,33 @@ Endpoint = Annotated[
     Means("that is an endpoint, such as tcp://127.0.0.1:5556 or ipc:///run/chart"),
 ]
 """A setting that names an endpoint."""
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host name or address is this machine's own, for sure.
+
+    >>> is_loopback("127.0.0.2"), is_loopback("::1"), is_loopback("localhost"), is_loopback("0.0.0.0")
+    (True, True, True, False)
+    """
+    if host.lower() == "localhost":
+        return True
+    try:
+        address = ipaddress.ip_address(host.strip("[]").split("%")[0])
+    except ValueError:
+        return False
+    mapped = getattr(address, "ipv4_mapped", None)
+    return bool((mapped or address).is_loopback)
+
+
+def is_local(endpoint: str) -> bool:
+    """Whether only this machine reaches an endpoint.
+
+    >>> is_local("ipc:///run/chart"), is_local("tcp://[::1]:5556"), is_local("tcp://*:5556")
+    (True, True, False)
+    """
+    if endpoint.startswith("ipc://"):
+        return True
+    return is_loopback(endpoint.removeprefix("tcp://").rpartition(":")[0])
 
 
 def bind(socket: zmq.Socket[Any], endpoint: str, spare_ports: int = 0) -> str:

@@ -8,6 +8,7 @@ import zmq
 
 from chachart.node.data.errors import EX_CONFIG, SetupError
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.net.security import SecuritySettings
 from chachart.node.runtime import messages
 from chachart.node.runtime.child import load_class, read_settings
 from chachart.node.runtime.dispatcher import Dispatcher
@@ -27,6 +28,7 @@ def main() -> int:
         source_class = load_class(settings["source"]["class"])
         source_settings = source_class.Settings.model_validate(settings["source"]["settings"])
         source = source_class(source_settings, ArrayGeometry.from_dict(settings["array"]))
+        source.security = SecuritySettings.model_validate(settings["security"])
         Dispatcher(settings, source, context, results).run()
     except SetupError as error:
         results.send_multipart([messages.SETUP_ERROR, messages.pack({"message": str(error)})])

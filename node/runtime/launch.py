@@ -35,6 +35,7 @@ class Launcher:
         settings = {
             **self._common,
             "sockets": self._endpoints,
+            "security": plan.security.model_dump(mode="json", exclude={"token", "read_token"}),
             "source": {
                 "class": class_path(plan.source),
                 "settings": plan.source_settings.model_dump(mode="json"),

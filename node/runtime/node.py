@@ -93,7 +93,9 @@ class Node:
             self._workers.check()
             for sink_class, settings in self._plan.sinks:
                 if not sink_class.wants_csi:
-                    sink = SinkThread(sink_class(settings, self._plan.array), settings.type, SINK_QUEUE)
+                    made = sink_class(settings, self._plan.array)
+                    made.security = self._plan.security
+                    sink = SinkThread(made, settings.type, SINK_QUEUE)
                     sink.open(self)
                     self._collector.sinks.append(sink)
             self._thread.start()

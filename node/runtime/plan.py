@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from chachart.config.load import NodeSettings
@@ -14,6 +14,7 @@ from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.options import Options
+from chachart.node.net.security import SecuritySettings, security_problems
 from chachart.sinks.base import Sink, SinkSettings
 from chachart.sources.base import Source, SourceSettings
 
@@ -28,7 +29,7 @@ class Plan:
         The one from `[array]`, or the one that the source carries.
     source, source_settings, sinks
         Classes with their settings.
-    estimator, workers, quality
+    estimator, workers, quality, security
         The other sections of the configuration.
     """
 
@@ -39,6 +40,7 @@ class Plan:
     workers: WorkersSettings
     quality: QualitySettings
     sinks: tuple[tuple[type[Sink], SinkSettings], ...]
+    security: SecuritySettings = field(default_factory=SecuritySettings)
 
     @classmethod
     def of(cls, settings: NodeSettings) -> Plan:
@@ -58,13 +60,15 @@ class Plan:
             settings.workers,
             settings.quality,
             tuple((sink_class(sink.type), sink) for sink in settings.sinks),
+            settings.security,
         )
 
     def problems(self) -> list[str]:
         """What would keep the node from starting, as far as can be told without starting it."""
-        found = list(self.source.problems(self.source_settings))
+        found = [*security_problems(self.security), *self.source_settings.exposure(self.security)]
+        found += self.source.problems(self.source_settings)
         for sink, settings in self.sinks:
-            found += sink.problems(settings)
+            found += settings.exposure(self.security) + sink.problems(settings)
         found += self._shared_endpoints()
         found += estimator_problems(self.array, self.estimator)
         return list(dict.fromkeys(found))
@@ -140,8 +144,11 @@ def check(settings: NodeSettings) -> list[str]:
 
 
 def _problems_apart_from_array(settings: NodeSettings) -> Iterator[str]:
+    yield from security_problems(settings.security)
+    yield from settings.source.exposure(settings.security)
     yield from source_class(settings.source.type).problems(settings.source)
     for sink in settings.sinks:
+        yield from sink.exposure(settings.security)
         yield from sink_class(sink.type).problems(sink)
 
 

@@ -105,6 +105,7 @@ class SinkThread:
             "where": self.sink.where(),
             "received": self.received,
             "dropped": self.dropped.as_dict() | self.sink.lost.as_dict(),
+            "refused": self.sink.refused.as_dict(),
             "errors": self.errors,
             "trouble": self.sink.trouble,
         }

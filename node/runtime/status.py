@@ -47,7 +47,8 @@ class NodeStatus:
         backlog_blocks, untrained}; pid is None while there is no worker. `frames_replayed` went to a
         successor, `untrained` counts estimates held back until LR was trained.
     sinks
-        One map each: {name, where, received, dropped, errors, trouble}; trouble is a line of text or None.
+        One map each: {name, where, received, dropped, refused, errors, trouble}; refused counts peers and
+        requests turned away by reason, trouble is a line of text or None.
     recording
         Where a recording that was started by request goes, or None.
     source_details

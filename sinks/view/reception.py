@@ -14,15 +14,16 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, get_args
 
-from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
 from chachart.node.data.errors import RequestError
 from chachart.node.data.methods import RhoMethod, ThetaMethod
+from chachart.node.net.security import Role
 from chachart.sinks.operations import Operations
 from chachart.sinks.view.curve import CurveKeeper
 from chachart.sinks.view.frames import describe
 from chachart.sinks.view.hub import Hub, Viewer
+from chachart.sinks.web.connection import WebConnection
 
 TRY_AGAIN = 1013
 """Close code for a viewer too many."""
@@ -52,18 +53,18 @@ class Reception:
         self._max_viewers = max_viewers
         self._page_id = page_id
 
-    async def welcome(self, connection: ServerConnection) -> None:
+    async def welcome(self, connection: WebConnection) -> None:
         """One viewer, from coming to going."""
         if len(self._hub.viewers) >= self._max_viewers:
             await connection.close(TRY_AGAIN, "Too many people look at this node already.")
             return
         viewer = Viewer()
-        viewer.text("hello", self._hello())
+        viewer.text("hello", self._hello(connection.role))
         self._hub.viewers.add(viewer)
         sender = asyncio.create_task(viewer.run(connection, self._hub))
         try:
             async for message in connection:
-                await connection.send(await self._hear(viewer, message))
+                await connection.send(await self._hear(viewer, message, connection.role))
         except ConnectionClosed:
             return
         finally:
@@ -72,11 +73,12 @@ class Reception:
             with suppress(asyncio.CancelledError, ConnectionClosed):
                 await sender
 
-    def _hello(self) -> str:
+    def _hello(self, role: Role) -> str:
         return json.dumps(
             {
                 "type": "hello",
                 "page": self._page_id,
+                "may_steer": role >= Role.STEERER,
                 "array": self._hub.array.as_dict(),
                 "columns": describe(),
                 "methods": {"theta": get_args(ThetaMethod), "rho": get_args(RhoMethod)},
@@ -85,7 +87,7 @@ class Reception:
             }
         )
 
-    async def _hear(self, viewer: Viewer, message: str | bytes) -> str:
+    async def _hear(self, viewer: Viewer, message: str | bytes, role: Role) -> str:
         """Carry out a viewer's message; the answer to it."""
         number = None
         try:
@@ -93,12 +95,12 @@ class Reception:
             if not isinstance(asked, dict):
                 raise RequestError("a request is a JSON object")
             number = asked.pop("id", None)
-            result = await self._obey(viewer, asked)
+            result = await self._obey(viewer, asked, role)
         except (RequestError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
             return json.dumps({"type": "answer", "id": number, "error": str(error)})
         return json.dumps({"type": "answer", "id": number, "result": result})
 
-    async def _obey(self, viewer: Viewer, asked: dict[str, Any]) -> Mapping[str, Any]:
+    async def _obey(self, viewer: Viewer, asked: dict[str, Any], role: Role) -> Mapping[str, Any]:
         if asked == {"op": "sync"}:
             viewer.start_over()
             return {}
@@ -107,4 +109,4 @@ class Reception:
         if asked.get("op") == "stream" and type(asked.get("on")) is bool:
             viewer.flow(asked["on"])
             return {}
-        return await asyncio.to_thread(self._operations.perform, asked)
+        return await asyncio.to_thread(self._operations.perform, asked, role)

@@ -13,21 +13,23 @@ from __future__ import annotations
 import hashlib
 import json
 import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.geometry import ArrayGeometry
-from chachart.sinks.base import NodeAccess, Sink
-from chachart.sinks.metrics import metrics_routes
+from chachart.sinks.base import NodeAccess, SinkSettings
 from chachart.sinks.operations import CHANGING, READING, Operations
 from chachart.sinks.view.curve import CurveKeeper
 from chachart.sinks.view.hub import Hub, report
 from chachart.sinks.view.reception import Reception
-from chachart.sinks.web.health import Health, health_routes
-from chachart.sinks.web.server import JSON, Answer, Query, Route, WebServer, WebSettings, port_problems
+from chachart.sinks.web.answers import JSON, Answer, Query, Route
+from chachart.sinks.web.server import WebServer
+from chachart.sinks.web.settings import WebSettings
+from chachart.sinks.web.sink import WebSink
 
 PAGE = Path(__file__).parent / "page"
 _TYPES = {
@@ -51,47 +53,31 @@ class ViewSettings(WebSettings):
     """Where recordings that viewers start go; they choose the file's name and nothing else."""
 
 
-class View(Sink):
+class View(WebSink):
     """Shows the chart to people and takes their wishes."""
 
-    Settings = ViewSettings
+    Settings: ClassVar[type[SinkSettings]] = ViewSettings
+    settings: ViewSettings
 
-    def __init__(self, settings: ViewSettings, array: ArrayGeometry) -> None:
+    def __init__(self, settings: Any, array: ArrayGeometry) -> None:
         super().__init__(settings, array)
-        self._health = Health(settings.stale_after_s)
-        self._server: WebServer | None = None
         self._hub: Hub | None = None
         self._pages = {file.name: file.read_bytes() for file in sorted(PAGE.iterdir())}
 
-    @classmethod
-    def problems(cls, settings: ViewSettings) -> list[str]:
-        """Whether the port is free."""
-        return port_problems(settings)
-
-    def open(self, node: NodeAccess | None) -> None:
-        """Serve from now on.
-
-        Raises
-        ------
-        SetupError
-            If the port cannot be had.
-        """
-        if node is None:
-            raise ValueError("a live view needs its node")
+    def _serve(self, node: NodeAccess, routes: Mapping[str, Route]) -> WebServer:
         self._hub = Hub(self.array, node, self.settings.rate_hz)
         operations = Operations(node, self.settings.record_folder)
         page_id = hashlib.sha256(b"".join(self._pages.values())).hexdigest()[:16]
         curve = CurveKeeper(node, self.array)
         reception = Reception(self._hub, operations, curve, self.settings.max_viewers, page_id)
-        routes = {
-            **self._page_routes(),
-            **_control_routes(operations),
-            **health_routes(self._health),
-            **metrics_routes(node),
-        }
-        door = self._pages["door.html"]
-        self._server = WebServer(self.settings, routes, reception.welcome, self._hub.run, door)
-        self._server.start()
+        return WebServer(
+            self.settings,
+            {**self._page_routes(), **_control_routes(operations), **routes},
+            reception.welcome,
+            self._hub.run,
+            self._pages["door.html"],
+            self.security,
+        )
 
     def on_chart(self, update: ChartUpdate) -> None:
         """Pass estimates on to viewers, if there are any."""
@@ -104,22 +90,8 @@ class View(Sink):
 
     def on_status(self, values: dict[str, Any]) -> None:
         """Show how the node is."""
-        self._health.status(values)
+        super().on_status(values)
         self._tell("status", {key: value for key, value in values.items() if key not in _NOT_SHOWN})
-
-    def on_tick(self) -> None:
-        """The node calls: it lives."""
-        self._health.called()
-
-    def close(self) -> None:
-        """Say goodbye to viewers and let the port go."""
-        if self._server is not None:
-            self._server.stop()
-            self._server = None
-
-    def where(self) -> str | None:
-        """The page's address."""
-        return None if self._server is None else f"{self._server.address}/"
 
     def _tell(self, kind: str, values: dict[str, Any]) -> None:
         if self._server is not None and self._hub is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from chachart.sinks.web.server import Answer, Query, Route
+from chachart.sinks.web.answers import Answer, Query, Route
 
 STUCK_AFTER_S = 15.0
 

@@ -1,141 +1,48 @@
 """The server: plain requests by routes, WebSocket connections by one handler, all on one port.
 
-The `websockets` library reads requests without a body only, so arguments travel in the query string, for POST
-as well; each plain request closes its connection. What may take long runs in a few threads of its own.
+Arguments travel in the query string, for POST as well; each plain request closes its connection. What may
+take long runs in a few threads of its own.
 """
 
 from __future__ import annotations
 
 import asyncio
-import http
 import json
 import logging
-import os
-import socket as socketlib
 import threading
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Self, TypeVar
-from urllib.parse import parse_qsl, quote, urlencode, urlsplit
+from typing import Any, TypeVar, cast
+from urllib.parse import parse_qsl, urlencode
 
-from pydantic import Field, model_validator
 from websockets.asyncio.server import Server, ServerConnection, serve
-from websockets.datastructures import Headers, MultipleValuesError
+from websockets.datastructures import MultipleValuesError
 from websockets.http11 import Request, Response
 
 from chachart.node.data.errors import RequestError, SetupError
-from chachart.node.net.endpoints import fixed
-from chachart.sinks.base import SinkSettings
-from chachart.sinks.web.access import COOKIE, Access, is_loopback
+from chachart.node.net.limits import RateLimit, Refusals
+from chachart.node.net.security import Role, SecuritySettings, Tokens
+from chachart.sinks.web.access import COOKIE, Access, Refusal
+from chachart.sinks.web.answers import HTML, JSON, Answer, Query, Route
+from chachart.sinks.web.connection import Connections, WebConnection
+from chachart.sinks.web.settings import WebSettings, cannot_listen, ports
 
 THREADS = 4
 WAITING_LIMIT = 64
 CLOSE_WITHIN_S = 2.0
+OPEN_WITHIN_S = 10.0
 MAX_MESSAGE_BYTES = 16 * 1024
-JSON = "application/json"
-HTML = "text/html; charset=utf-8"
+BURST_S = 5.0
 
-Query = Mapping[str, str]
 T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 _connections = logging.getLogger(f"{__name__}.connections")
 _connections.setLevel(logging.WARNING)
-_POLICY = "; ".join(
-    (
-        "default-src 'none'",
-        "script-src 'self'",
-        "style-src 'self'",
-        "img-src 'self' blob: data:",
-        "connect-src 'self'",
-        "form-action 'self'",
-        "base-uri 'none'",
-        "frame-ancestors 'none'",
-    )
-)
-_SECURITY = {
-    "Content-Security-Policy": _POLICY,
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Cache-Control": "no-cache",
-}
 
-
-class WebSettings(SinkSettings):
-    """What every sink that serves HTTP is told."""
-
-    host: str = Field("127.0.0.1", min_length=1)
-    """Address to listen on; anything but loopback needs a token."""
-    port: int = Field(8080, ge=0, le=65535)
-    """TCP port; 0 takes a free one."""
-    spare_ports: int = Field(0, ge=0, le=1000)
-    """Where the port is in use, one of so many after it serves instead; the log says which."""
-    token: str | None = Field(None, min_length=16, repr=False)
-    """What everybody must know who does not ask from this machine: 16 characters or more."""
-    stale_after_s: float = Field(5.0, gt=0)
-    """Without a new frame for so long, /readyz says no."""
-
-    @model_validator(mode="after")
-    def _closed_to_strangers(self) -> Self:
-        if self.token is None and not is_loopback(self.host):
-            raise ValueError(f"token must be set to listen on {self.host}, which others can reach")
-        return self
-
-    def listens_on(self) -> str | None:
-        """Host and port, unless any free port will do."""
-        return fixed(f"tcp://{self.host}:{self.port}")
-
-
-def port_problems(settings: WebSettings) -> list[str]:
-    """What would keep a server from listening where `settings` say."""
-    problems: list[str] = []
-    for port in _ports(settings):
-        try:
-            family, kind, proto, _, address = socketlib.getaddrinfo(
-                settings.host, port, type=socketlib.SOCK_STREAM, flags=socketlib.AI_PASSIVE
-            )[0]
-            with socketlib.socket(family, kind, proto) as probe:
-                probe.setsockopt(socketlib.SOL_SOCKET, socketlib.SO_REUSEADDR, 1)
-                probe.bind(address)
-        except OSError as error:
-            problems = problems or [_cannot_listen(settings, error)]
-        else:
-            return []
-    return problems
-
-
-def _ports(settings: WebSettings) -> range:
-    """The port and its spare ones, in the order in which they are tried."""
-    return range(settings.port, min(settings.port + settings.spare_ports, 65535) + 1)
-
-
-def _cannot_listen(settings: WebSettings, error: OSError) -> str:
-    reason = os.strerror(error.errno) if error.errno and error.errno > 0 else error.strerror
-    return f'sink "{settings.type}" cannot listen on {settings.host}:{settings.port}: {reason}'
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """What a route gives back."""
-
-    body: bytes
-    content_type: str
-    status: int = 200
-    headers: Mapping[str, str] = field(default_factory=dict)
-
-    @classmethod
-    def text(cls, status: int, text: str) -> Answer:
-        """One line of plain text."""
-        return cls(f"{text}\n".encode(), "text/plain; charset=utf-8", status)
-
-
-Route = Callable[[Query], Answer]
-"""Answers one request, in a thread of the server's."""
-Handler = Callable[[ServerConnection], Awaitable[None]]
+Handler = Callable[[WebConnection], Awaitable[None]]
 
 
 class WebServer:
@@ -143,7 +50,7 @@ class WebServer:
 
     Parameters
     ----------
-    settings
+    settings, security
         Where, and for whom.
     routes
         By `"METHOD /path"`.
@@ -162,13 +69,19 @@ class WebServer:
         socket: Handler | None = None,
         beside: Callable[[], Coroutine[Any, Any, None]] | None = None,
         door: bytes | None = None,
+        security: SecuritySettings | None = None,
     ) -> None:
+        security = security or SecuritySettings()
         self._settings = settings
         self._routes = routes
         self._socket = socket
         self._beside = beside
         self._door = door
-        self._access = Access(settings.token)
+        self.refusals = Refusals(settings.type)
+        self._access = Access(Tokens.of(security, settings.token), security.trust_local)
+        self._tls = settings.tls(security)
+        self._rate = RateLimit(security.max_requests_per_s, BURST_S * security.max_requests_per_s)
+        self._open = Connections(security.max_connections, self.refusals)
         self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="web")
         self._waiting = 0
         self._thread = threading.Thread(target=self._run, name="web", daemon=True)
@@ -190,7 +103,7 @@ class WebServer:
         self._bound.wait()
         if self._failure is not None:
             self.stop()
-            raise SetupError(_cannot_listen(self._settings, self._failure))
+            raise SetupError(cannot_listen(self._settings, self._failure))
 
     def stop(self) -> None:
         """Close every connection and the port."""
@@ -203,7 +116,8 @@ class WebServer:
     def address(self) -> str:
         """Where a browser finds the server."""
         host = self._settings.host
-        return f"http://{f'[{host}]' if ':' in host else host}:{self.port}"
+        scheme = "http" if self._tls is None else "https"
+        return f"{scheme}://{f'[{host}]' if ':' in host else host}:{self.port}"
 
     def soon(self, work: Callable[..., None], *arguments: Any) -> None:
         """Have that done in the server's thread, unless it has ended."""
@@ -254,14 +168,19 @@ class WebServer:
     async def _listen(self) -> Server:
         """On the first port that can be had."""
         failure = OSError("there is no port")
-        for port in _ports(self._settings):
+        for port in ports(self._settings):
             try:
                 return await serve(
                     self._handle,
                     self._settings.host,
                     port,
+                    ssl=self._tls,
+                    create_connection=cast(
+                        type[ServerConnection], partial(WebConnection, connections=self._open)
+                    ),
                     process_request=self._process,
                     compression=None,
+                    open_timeout=OPEN_WITHIN_S,
                     max_size=MAX_MESSAGE_BYTES,
                     max_queue=4,
                     server_header=None,
@@ -274,71 +193,97 @@ class WebServer:
 
     async def _handle(self, connection: ServerConnection) -> None:
         if self._socket is not None:
-            await self._socket(connection)
+            await self._socket(cast(WebConnection, connection))
 
     async def _process(self, connection: ServerConnection, request: Request) -> Response | None:
-        url = urlsplit(request.path)
-        query = dict(parse_qsl(url.query, max_num_fields=32))
-        given = query.pop("token", None)
-        peer = str(connection.remote_address[0])
-        try:
-            refusal = self._access.refusal(peer, request.headers, given)
-        except MultipleValuesError as error:
-            refusal = 400, f"the header {error} occurs twice"
-        if refusal is not None:
-            return _response(self._turn_away(*refusal))
-        if url.path == "/ws" and self._socket is not None:
-            return None
-        if given is not None and "text/html" in ",".join(request.headers.get_all("Accept")):
-            return _response(_remember(given, url.path, query))
-        method = "GET" if request.method == "HEAD" else request.method
-        response = _response(await self._answer(method, url.path, query))
-        if request.method == "HEAD":
-            response.body = b""
-        return response
+        answer = await self._decide(cast(WebConnection, connection), request)
+        return None if answer is None else answer.response(head=request.method == "HEAD")
 
-    async def _answer(self, method: str, path: str, query: Query) -> Answer:
-        route = self._routes.get(f"{method} {path}")
+    async def _decide(self, connection: WebConnection, request: Request) -> Answer | None:
+        """The answer to a request, or None for one that becomes a WebSocket."""
+        peer = str(connection.remote_address[0])
+        if not self._rate.take(peer):
+            self.refusals.add("too_many_requests")
+            return Answer.text(429, "too many requests").with_headers(Retry_After="1")
+        if connection.mistake is not None:
+            self.refusals.add("body")
+            return Answer.text(*connection.mistake)
+        path, _, text = request.path.partition("?")
+        try:
+            query = dict(parse_qsl(text, max_num_fields=32))
+            given = query.pop("token", None)
+            role = self._access.admit(peer, request.headers, given, self._cookie)
+        except MultipleValuesError as error:
+            return Answer.text(400, f"the header {error} occurs twice")
+        except ValueError:
+            return Answer.text(400, "a query has at most 32 arguments")
+        if (request.method, path) == ("POST", "/login"):
+            return self._sign_in(peer, connection.body, role)
+        if (request.method, path) == ("POST", "/logout"):
+            gone = f"{self._cookie}=; Path=/; Max-Age=0; HttpOnly; SameSite=Strict"
+            return Answer.text(303, "goodbye").with_headers(Location="/", Set_Cookie=gone)
+        if isinstance(role, Refusal):
+            return self._turn_away(role)
+        connection.role = role
+        if path == "/ws" and self._socket is not None:
+            return None
+        in_browser = "text/html" in ",".join(request.headers.get_all("Accept"))
+        if given is not None and self._access.tokens and in_browser:
+            return self._remember(role, f"{path}?{urlencode(query)}" if query else path)
+        return await self._answer(request.method, path, query, role)
+
+    async def _answer(self, method: str, path: str, query: Query, role: Role) -> Answer:
+        route = self._routes.get(f"{'GET' if method == 'HEAD' else method} {path}")
         if route is None:
             allowed = [name.split()[0] for name in self._routes if name.split()[1] == path]
             if allowed:
-                answer = Answer.text(405, f"{path} takes {', '.join(allowed)}")
-                return replace(answer, headers={"Allow": ", ".join(allowed)})
+                return Answer.text(405, f"{path} takes {', '.join(allowed)}").with_headers(
+                    Allow=", ".join(allowed)
+                )
             return Answer.text(404, f"there is no {path[:100]}")
+        if method == "POST" and role < Role.STEERER:
+            return self._turn_away(Refusal(403, "the reading token steers nothing", "reader"))
         try:
             return await self.call(partial(route, query))
         except RequestError as error:
             return Answer(json.dumps({"error": str(error)}).encode(), JSON, 400)
 
-    def _turn_away(self, status: int, reason: str) -> Answer:
-        if status == 401:
-            challenge = {"WWW-Authenticate": 'Bearer realm="chachart"'}
+    def _turn_away(self, refusal: Refusal) -> Answer:
+        self.refusals.add(refusal.word)
+        answer = Answer.text(refusal.status, refusal.reason)
+        if refusal.status == 401:
             if self._door is not None:
-                return Answer(self._door, HTML, status, challenge)
-            return replace(Answer.text(status, reason), headers=challenge)
-        return Answer.text(status, reason)
+                page = self._door.replace(b"<!-- reason -->", refusal.reason.encode())
+                answer = Answer(page, HTML, 401)
+            return answer.with_headers(WWW_Authenticate='Bearer realm="chachart"')
+        return answer.with_headers(Retry_After="5") if refusal.status == 429 else answer
+
+    def _sign_in(self, peer: str, body: bytes, role: Role | Refusal) -> Answer:
+        """Take the token that a form has sent."""
+        if isinstance(role, Refusal) and role.status == 403:
+            return self._turn_away(role)
+        form = dict(parse_qsl(body.decode(errors="replace"), max_num_fields=8))
+        signed_in = self._access.sign_in(peer, form.get("token", ""))
+        if isinstance(signed_in, Refusal):
+            return self._turn_away(signed_in)
+        return self._remember(signed_in, "/")
+
+    @property
+    def _cookie(self) -> str:
+        """Name of the cookie; browsers tell ports of a host apart by nothing else."""
+        return f"{COOKIE}_{self.port}"
+
+    def _remember(self, role: Role, target: str) -> Answer:
+        """Let a browser keep a cookie, and its address bar no token; it goes to a page of this server."""
+        if f"GET {target.partition('?')[0]}" not in self._routes:
+            target = "/"
+        secure = "" if self._tls is None else "; Secure"
+        cookie = (
+            f"{self._cookie}={self._access.tokens.cookie(role)}; Path=/; HttpOnly; SameSite=Strict{secure}"
+        )
+        return Answer.text(303, "come in").with_headers(Location=target, Set_Cookie=cookie)
 
 
 def _complain(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and (error := task.exception()) is not None:
         log.error("the web server's own work failed: %s", error, exc_info=error)
-
-
-def _remember(token: str, path: str, query: Query) -> Answer:
-    """Let a browser keep the token as a cookie, and its address bar not."""
-    target = path if not query else f"{path}?{urlencode(query)}"
-    cookie = f"{COOKIE}={quote(token, safe='')}; Path=/; HttpOnly; SameSite=Strict"
-    return replace(Answer.text(303, "come in"), headers={"Location": target, "Set-Cookie": cookie})
-
-
-def _response(answer: Answer) -> Response:
-    headers = Headers(
-        {
-            "Connection": "close",
-            "Content-Length": str(len(answer.body)),
-            "Content-Type": answer.content_type,
-            **_SECURITY,
-            **answer.headers,
-        }
-    )
-    return Response(answer.status, http.HTTPStatus(answer.status).phrase, headers, answer.body)

@@ -11,7 +11,7 @@ from chachart.node.commands.node import _parser
 from chachart.node.data.errors import EX_CONFIG
 from chachart.node.runtime.latency import Latency
 from chachart.node.runtime.status import NodeStatus
-from chachart.sinks.metrics import exposition
+from chachart.sinks.web.exposition import exposition
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 

@@ -9,6 +9,8 @@ from live_node import LiveNode
 
 TOKEN = "open-sesame-open-sesame"
 SINKS = f"""
+[security]
+trust_local = true
 [[sinks]]
 type = "view"
 port = 0

@@ -77,9 +77,10 @@ def test_all_mistakes_are_found_at_once(tmp_path: Path) -> None:
         '[[sinks]]\ntype = "publisher"\nendpoint = "tcp://192.0.2.1:5556"\n'
     )
     mistakes = check(load(config))
-    assert len(mistakes) == 2
+    assert len(mistakes) == 3
     assert "nowhere.mcap" in mistakes[0]
-    assert "192.0.2.1" in mistakes[1]
+    assert "set keys in [security]" in mistakes[1]
+    assert "cannot listen on tcp://192.0.2.1:5556" in mistakes[2]
 
 
 def test_workers_share_the_ues(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from live_node import LiveNode, tool, until
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidStatus
 
+from chachart.node.net.security import Role, Tokens
 from chachart.sinks.view.sink import PAGE
 
 VIEWERS = 50
@@ -137,7 +138,10 @@ def test_the_token_opens(node: LiveNode, token: str) -> None:
     url = node.address("view") + "api/status"
     assert node.get(url, headers={**far, "Authorization": f"Bearer {token}"})[0] == 200
     assert node.get(f"{url}?token={token}", headers=far)[0] == 200
-    assert node.get(url, headers={**far, "Cookie": f"chachart_token={token}"})[0] == 200
+    port = node.address("view").rstrip("/").rpartition(":")[2]
+    cookie = f"chachart_token_{port}={Tokens(token).cookie(Role.STEERER)}"
+    assert node.get(url, headers={**far, "Cookie": cookie})[0] == 200
+    assert node.get(url, headers={**far, "Cookie": f"chachart_token_{port}={token}"})[0] == 401
     assert "token" in node.get(node.address("view"), headers=far)[1]
 
 

@@ -6,10 +6,12 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from websockets.datastructures import Headers
 
+from chachart.node.net.endpoints import is_loopback
+from chachart.node.net.security import Role, SecuritySettings, Tokens
 from chachart.sinks.control import ControlSettings
 from chachart.sinks.metrics import MetricsSettings
 from chachart.sinks.view.sink import ViewSettings
-from chachart.sinks.web.access import Access, is_loopback
+from chachart.sinks.web.access import Access, Refusal
 
 TOKEN = "a-token-of-some-length"
 HERE = {"Host": "127.0.0.1:8080"}
@@ -18,8 +20,8 @@ HERE = {"Host": "127.0.0.1:8080"}
 def status(
     headers: dict[str, str], *, peer: str = "127.0.0.1", token: str | None = TOKEN, query: str = ""
 ) -> int:
-    refusal = Access(token).refusal(peer, Headers(headers), query or None)
-    return 200 if refusal is None else refusal[0]
+    admitted = Access(Tokens(token), trust_local=True).admit(peer, Headers(headers), query or None)
+    return admitted.status if isinstance(admitted, Refusal) else 200
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.1:8080", "localhost:8080", "LOCALHOST", "[::1]:8080"])
@@ -54,7 +56,9 @@ def test_others_need_the_token() -> None:
     assert status(HERE, peer="10.0.0.7") == 401
     assert status(there, peer="10.0.0.7", query=TOKEN) == 200
     assert status({**there, "Authorization": f"Bearer {TOKEN}"}, peer="10.0.0.7") == 200
-    assert status({**there, "Cookie": f"other=1; chachart_token={TOKEN}"}, peer="10.0.0.7") == 200
+    cookie = Tokens(TOKEN).cookie(Role.STEERER)
+    assert status({**there, "Cookie": f"other=1; chachart_token={cookie}"}, peer="10.0.0.7") == 200
+    assert status({**there, "Cookie": f"chachart_token={TOKEN}"}, peer="10.0.0.7") == 401
 
 
 PRINTABLE = st.text(alphabet=st.characters(min_codepoint=32, max_codepoint=255, exclude_categories=["Cc"]))
@@ -71,17 +75,20 @@ def test_no_other_token_opens(query: str, bearer: str, cookie: str) -> None:
 def test_listening_to_others_without_a_token_is_a_mistake(host: str) -> None:
     assert not is_loopback(host)
     for settings in (ViewSettings, MetricsSettings):
-        with pytest.raises(ValidationError, match="token must be set"):
-            settings(host=host)
-        assert settings(host=host, token=TOKEN).host == host
+        assert "a token must be set" in settings(host=host).exposure(SecuritySettings())[0]
+        assert settings(host=host).exposure(SecuritySettings(token=TOKEN)) == []
+        assert settings(host=host, token=TOKEN).exposure(SecuritySettings()) == []
     endpoint = f"tcp://{f'[{host}]' if ':' in host else host}:5557"
-    with pytest.raises(ValidationError, match="token must be set"):
-        ControlSettings(endpoint=endpoint)
-    assert ControlSettings(endpoint=endpoint, token=TOKEN).token == TOKEN
+    control = ControlSettings(endpoint=endpoint)
+    named = SecuritySettings(without_keys=(endpoint,))
+    assert "set keys" in control.exposure(SecuritySettings(token=TOKEN))[0]
+    assert "a token must be set" in control.exposure(named)[0]
+    assert ControlSettings(endpoint=endpoint, token=TOKEN).exposure(named) == []
 
 
 def test_a_token_has_some_length_and_is_not_shown() -> None:
     with pytest.raises(ValidationError, match="at least 16"):
         ViewSettings(token="short")
     assert TOKEN not in repr(ViewSettings(token=TOKEN))
-    assert ControlSettings(endpoint="ipc:///run/chachart/control").token is None
+    assert TOKEN not in repr(SecuritySettings(token=TOKEN, read_token=TOKEN[::-1]))
+    assert TOKEN not in repr(Tokens(TOKEN))

@@ -13,16 +13,9 @@ import pytest
 
 from chachart.node.data.errors import RequestError, SetupError
 from chachart.sinks.metrics import Metrics, MetricsSettings
-from chachart.sinks.web.server import (
-    THREADS,
-    WAITING_LIMIT,
-    Answer,
-    Query,
-    Route,
-    WebServer,
-    WebSettings,
-    port_problems,
-)
+from chachart.sinks.web.answers import Answer, Query, Route
+from chachart.sinks.web.server import THREADS, WAITING_LIMIT, WebServer
+from chachart.sinks.web.settings import WebSettings, port_problems
 
 TOKEN = "open-sesame-open-sesame"
 
@@ -92,19 +85,6 @@ def test_routes_by_method_and_path() -> None:
         assert (refused.status, refused.text) == (400, '{"error": "not today"}')
         assert get("/fail").status == 500
         assert get("/echo").headers["Content-Security-Policy"].startswith("default-src 'none'")
-
-
-def test_a_browser_keeps_the_token_as_a_cookie_and_not_in_its_address() -> None:
-    with serving({"GET /echo": echo}, token=TOKEN) as get:
-        far = {"X_Forwarded_For": "10.0.0.7"}
-        first = get(f"/echo?a=1&token={TOKEN}", Accept="text/html", **far)
-        assert (first.status, first.headers["Location"]) == (303, "/echo?a=1")
-        cookie = first.headers["Set-Cookie"]
-        assert "HttpOnly" in cookie
-        assert "SameSite=Strict" in cookie
-        assert get("/echo", Cookie=cookie.split(";")[0], **far).status == 200
-        asked = get("/echo", Accept="text/html", **far)
-        assert (asked.status, asked.headers["WWW-Authenticate"]) == (401, 'Bearer realm="chachart"')
 
 
 def test_too_many_at_once_are_told_so() -> None:
