@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(sample.configuration())
     elif arguments.kind == "list":
         for name in shipped.names():
-            print(f"{name:<18}{shipped.purpose(name)}")
+            print(f"{name:<22}{shipped.purpose(name)}")
     elif arguments.kind == "show":
         if arguments.name is None:
             raise SetupError(f"which configuration? There are {', '.join(shipped.names())}")

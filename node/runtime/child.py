@@ -96,7 +96,8 @@ class Child:
         self._reader.join(timeout=1.0)
         for pipe in (self._process.stdin, self._process.stderr):
             if pipe is not None:
-                pipe.close()
+                with contextlib.suppress(BrokenPipeError):  # it ended before it had read its settings
+                    pipe.close()
 
     def _relay_log(self) -> None:
         assert self._process.stderr is not None

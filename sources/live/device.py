@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import socket
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -26,6 +27,10 @@ log = logging.getLogger(__name__)
 MAX_BLOCK_FRAMES = 64
 SETTLE_S = 0.3
 """After a simulated device has sent its last, it has arrived within this time."""
+
+
+Address = tuple[str, int]
+ANY_PORT: Address = ("127.0.0.1", 0)
 
 
 class CodecError(ValueError):
@@ -102,6 +107,16 @@ class SimulatedDevice(ABC):
     def __init__(self) -> None:
         self.ended = threading.Event()
 
+    @property
+    @abstractmethod
+    def where(self) -> str:
+        """Where it listens, as settings that a source is given: `host=... port=...`."""
+
+    @property
+    @abstractmethod
+    def report(self) -> Any:
+        """A dataclass of counts: what has become of what it sent."""
+
     @abstractmethod
     def start(self) -> None:
         """Listen."""
@@ -154,9 +169,15 @@ class DeviceSource(Source):
             If that cannot be.
         """
 
-    def _simulate(self) -> SimulatedDevice | None:
-        """The simulated device that the settings ask for, not yet started."""
-        return None
+    @abstractmethod
+    def simulate(self, address: Address = ANY_PORT) -> SimulatedDevice | None:
+        """The simulated device that the settings ask for, to listen at `address`; None if they ask for none.
+
+        Raises
+        ------
+        SetupError
+            If it cannot listen there.
+        """
 
     def open(self) -> None:
         """Reach the device.
@@ -167,7 +188,7 @@ class DeviceSource(Source):
             If it does not answer, or is not what the settings say.
         """
         try:
-            self.simulated = self._simulate()
+            self.simulated = self.simulate()
             if self.simulated is not None:
                 self.simulated.start()
             self._connection = self._connect()
@@ -263,6 +284,22 @@ class DeviceSource(Source):
         good = usable(block, self.rejected)
         self._next_seq = block.seq + (0 if good is None else len(good))
         return good
+
+
+def listener(address: Address) -> socket.socket:
+    """A TCP socket that listens at `address`, for a simulated device.
+
+    Raises
+    ------
+    SetupError
+        If it cannot.
+    """
+    try:
+        made = socket.create_server(address)
+    except OSError as error:
+        raise SetupError(f"{address[0]}:{address[1]} cannot be listened at: {error.strerror}") from None
+    made.settimeout(0.05)
+    return made
 
 
 def count(error: CodecError, rejected: Counters) -> None:

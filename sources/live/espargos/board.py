@@ -1,15 +1,13 @@
-"""A simulated ESPARGOS board: its controller over HTTP, its stream over UDP, its sensors' errors."""
+"""A simulated ESPARGOS board: what its controller answers, what its sensors make of a Wi-Fi packet."""
 
 from __future__ import annotations
 
 import json
-import socket
 import threading
 import time
+from abc import abstractmethod
 from collections import deque
 from dataclasses import dataclass, replace
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +22,6 @@ from chachart.sources.live.espargos.cluster import ANTENNAS, Cluster
 from chachart.sources.live.espargos.control import Channel
 from chachart.sources.live.espargos.message import SUBCARRIER_SPACING_HZ, UNIT_NS, SensorCsi
 
-LONGEST_BODY = 1 << 16
 REFERENCE_HZ = 200.0
 """Reference packets a second while the switch is at the reference."""
 BOARD_ADDRESS = 0x020000000001
@@ -60,7 +57,7 @@ class BoardReport:
 
 
 class SimulatedBoard(SimulatedDevice):
-    """A board that hears what a source says. `start` it, point an `espargos` source at `host`, `stop` it.
+    """A board that hears what a source says, whichever way it is asked and listened to.
 
     Parameters
     ----------
@@ -74,7 +71,7 @@ class SimulatedBoard(SimulatedDevice):
 
     def __init__(self, source: Source, channel: Channel, faults: BoardFaults) -> None:
         super().__init__()
-        self.report = BoardReport()
+        self._report = BoardReport()
         self._source, self._channel, self._faults = source, channel, faults
         self._rng = np.random.default_rng(faults.fault_seed)
         self._clock_s = self._rng.uniform(0, faults.clock_ns * 1e-9, ANTENNAS)
@@ -83,44 +80,27 @@ class SimulatedBoard(SimulatedDevice):
         self._number = 0
         self._late: deque[tuple[int, bytes]] = deque()
         self._switch = control.ANTENNAS
-        self._client: tuple[str, int] | None = None
         self._greeted = False
         self._stopping = threading.Event()
         self._boot_ns = time.time_ns() - 100_000_000_000
-        self._http = _Http(("127.0.0.1", 0), self)
-        self._udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._udp.bind(("127.0.0.1", 0))
-        self._threads = [
-            threading.Thread(target=self._http.serve_forever, args=(0.05,), name="board-http", daemon=True),
-            threading.Thread(target=self._play, name="board", daemon=True),
-        ]
+        self._thread = threading.Thread(target=self._play, name="board", daemon=True)
 
     @property
-    def host(self) -> str:
-        """Where its controller listens."""
-        return f"127.0.0.1:{self._http.server_port}"
-
-    @property
-    def udp_port(self) -> int:
-        """Where it wants signs of life."""
-        return int(self._udp.getsockname()[1])
+    def report(self) -> BoardReport:
+        """What has become of what it sent."""
+        return self._report
 
     def start(self) -> None:
         """Listen."""
-        for thread in self._threads:
-            thread.start()
+        self._thread.start()
 
     def stop(self) -> None:
         """End everything."""
         self._stopping.set()
-        if self._threads[0].ident is not None:
-            self._http.shutdown()
-            for thread in self._threads:
-                thread.join()
-        self._http.server_close()
-        self._udp.close()
+        if self._thread.ident is not None:
+            self._thread.join()
 
-    def answer(self, path: str, body: bytes, client: str) -> str | None:
+    def answer(self, path: str, body: bytes) -> str | None:
         """What the controller says to a request; None to one that it does not know."""
         if path == "/identify":
             return "ESPARGOS"
@@ -136,20 +116,29 @@ class SimulatedBoard(SimulatedDevice):
         if path == "/set_rfswitch":
             self._switch = int(body)
             return "ok"
-        if path == "/stream_udp":
-            wanted: dict[str, Any] = json.loads(body)
-            self._client = (client, int(wanted["port"])) if wanted["enable"] else None
-            self._greeted = False
-            return "ok"
         return None
+
+    @property
+    @abstractmethod
+    def listened(self) -> bool:
+        """Whether somebody wants sensor packets."""
+
+    @abstractmethod
+    def greet(self) -> None:
+        """What comes before the first sensor packet."""
+
+    @abstractmethod
+    def send(self, packet: bytes) -> None:
+        """Send a sensor packet to whoever listens."""
 
     def _play(self) -> None:
         with self._source:
             while not self._stopping.is_set():
-                if self._client is None:
+                if not self.listened:
+                    self._greeted = False
                     self._stopping.wait(0.01)
                 elif not self._greeted:
-                    self._send(stream.HELLO)
+                    self.greet()
                     self._greeted = True
                 elif self._switch == control.REFERENCE:
                     self._reference()
@@ -174,7 +163,7 @@ class SimulatedBoard(SimulatedDevice):
         frequency = self._channel.packet_hz + message.TONES * SUBCARRIER_SPACING_HZ
         csi = np.exp(-2j * np.pi * trace_delay_s()[:, None] * frequency)
         self._packet(BOARD_ADDRESS, time.time_ns(), csi.astype(np.complex64), calibration=True)
-        self.report.references += 1
+        self._report.references += 1
 
     def _packet(self, ue: int, time_ns: int, csi: NDArray[np.complex64], *, calibration: bool) -> None:
         """Send what each sensor makes of a packet: phases, and where it takes the beginning to be."""
@@ -218,18 +207,18 @@ class SimulatedBoard(SimulatedDevice):
         for antenna, body in enumerate(messages):
             datagram = self._datagram(antenna, body)
             if antenna == odd and fault < faults.drop:
-                self.report.dropped += 1
+                self._report.dropped += 1
                 continue
             if antenna == odd and fault < faults.drop + faults.corrupt:
-                self.report.corrupted += 1
+                self._report.corrupted += 1
                 datagram = self._datagram(antenna, self._damaged(body))
             elif antenna == odd and fault < faults.drop + faults.corrupt + faults.reorder:
-                self.report.reordered += 1
+                self._report.reordered += 1
                 self._late.append((self._number + int(self._rng.integers(1, LATE_PACKETS)), datagram))
                 continue
-            self._send(datagram)
+            self.send(datagram)
         if not calibration and fault >= faults.drop + faults.corrupt:
-            self.report.sent += 1
+            self._report.sent += 1
         self._release()
 
     def _datagram(self, antenna: int, body: bytes) -> bytes:
@@ -246,51 +235,8 @@ class SimulatedBoard(SimulatedDevice):
 
     def _release(self, everything: bool = False) -> None:
         while self._late and (everything or self._late[0][0] <= self._number):
-            self._send(self._late.popleft()[1])
-
-    def _send(self, datagram: bytes) -> None:
-        client = self._client
-        if client is not None:
-            self._udp.sendto(datagram, client)
+            self.send(self._late.popleft()[1])
 
     def _next(self, ue: int) -> int:
         self._sequence[ue] = (self._sequence.get(ue, -1) + 1) % 4096
         return self._sequence[ue]
-
-
-class _Http(ThreadingHTTPServer):
-    daemon_threads = True
-
-    def __init__(self, address: tuple[str, int], board: SimulatedBoard) -> None:
-        super().__init__(address, _Handler)
-        self.board = board
-
-
-class _Handler(BaseHTTPRequestHandler):
-    server: _Http
-
-    def do_GET(self) -> None:
-        """Answer a question."""
-        self._answer(b"")
-
-    def do_POST(self) -> None:
-        """Do as told."""
-        self._answer(self.rfile.read(min(int(self.headers.get("Content-Length", 0)), LONGEST_BODY)))
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing."""
-
-    def _answer(self, body: bytes) -> None:
-        try:
-            text = self.server.board.answer(self.path, body, self.client_address[0])
-        except (ValueError, KeyError, TypeError) as error:
-            self.send_error(400, str(error))
-            return
-        if text is None:
-            self.send_error(404)
-            return
-        encoded = text.encode()
-        self.send_response(200)
-        self.send_header("Content-Length", str(len(encoded)))
-        self.end_headers()
-        self.wfile.write(encoded)

@@ -1,17 +1,15 @@
-"""The HTTP interface of an ESPARGOS controller: what is asked of it, and what its answers mean."""
+"""What an ESPARGOS controller is asked, and what its answers mean, whichever way they come."""
 
 from __future__ import annotations
 
-import http.client
 import json
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
 from chachart.node.data.errors import SetupError
 
 API_MAJOR = 3
-TIMEOUT_S = 3.0
-LARGEST_ANSWER = 1 << 20
 REFERENCE, ANTENNAS = 1, 2
 """States of the switch before the sensors: the reference signal, and the antennas (feed R)."""
 ACQUIRE = {
@@ -42,17 +40,27 @@ class Channel:
         return self.packet_hz + 10e6 * self.secondary
 
 
-class Controller:
+class Controller(ABC):
     """One controller.
 
     Parameters
     ----------
-    host
-        Its address, with `:port` where it is not 80.
+    name
+        What it is called in messages: its address or port.
     """
 
-    def __init__(self, host: str) -> None:
-        self.host = host
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    @abstractmethod
+    def ask(self, method: str, path: str, body: str = "") -> tuple[int, str]:
+        """Status and text of the answer to a request.
+
+        Raises
+        ------
+        SetupError
+            If there is none.
+        """
 
     def identify(self) -> dict[str, Any]:
         """What it is.
@@ -65,7 +73,7 @@ class Controller:
         info = self._json("/api_info")
         if info.get("device") != "espargos" or info.get("api-major") != API_MAJOR:
             raise SetupError(
-                f'[source] "{self.host}" is no ESPARGOS controller of interface {API_MAJOR}, but says {info}'[
+                f'[source] "{self.name}" is no ESPARGOS controller of interface {API_MAJOR}, but says {info}'[
                     :300
                 ]
             )
@@ -82,44 +90,40 @@ class Controller:
         conf = self._json("/get_wificonf")
         primary, secondary = conf.get("channel-primary"), conf.get("channel-secondary", 0)
         if not isinstance(primary, int) or not 1 <= primary <= 14 or secondary not in (0, 1, 2):
-            raise SetupError(f'[source] "{self.host}" says it listens on channel {primary!r}, {secondary!r}')
+            raise SetupError(f'[source] "{self.name}" says it listens on channel {primary!r}, {secondary!r}')
         return Channel(primary, (0, 1, -1)[secondary])
 
     def acquire(self) -> None:
         """Have it measure what the source understands."""
-        self._ask("POST", "/set_csi_acquire_config", json.dumps(ACQUIRE))
+        self.tell("/set_csi_acquire_config", json.dumps(ACQUIRE))
 
     def switch(self, state: int) -> None:
         """Connect the sensors to the reference or to the antennas."""
-        self._ask("POST", "/set_rfswitch", str(state))
+        self.tell("/set_rfswitch", str(state))
 
-    def stream(self, enable: bool, port: int) -> None:
-        """Begin or end to send sensor packets to this host's UDP port."""
-        self._ask("POST", "/stream_udp", json.dumps({"enable": enable, "port": port}))
+    def tell(self, path: str, body: str) -> None:
+        """Have it do something.
+
+        Raises
+        ------
+        SetupError
+            If it does not answer, or refuses.
+        """
+        self._accepted(path, *self.ask("POST", path, body))
 
     def _json(self, path: str) -> dict[str, Any]:
-        answer = self._ask("GET", path)
+        answer = self._accepted(path, *self.ask("GET", path))
         try:
             values = json.loads(answer)
         except ValueError:
             values = None
         if not isinstance(values, dict):
             raise SetupError(
-                f'[source] "{self.host}" answers {path} with {answer[:80]!r}, which is no JSON table'
+                f'[source] "{self.name}" answers {path} with {answer[:80]!r}, which is no JSON table'
             )
         return values
 
-    def _ask(self, method: str, path: str, body: str | None = None) -> str:
-        try:
-            connection = http.client.HTTPConnection(self.host, timeout=TIMEOUT_S)
-            try:
-                connection.request(method, path, body)
-                response = connection.getresponse()
-                text = response.read(LARGEST_ANSWER).decode("utf-8", "replace")
-            finally:
-                connection.close()
-        except (OSError, http.client.HTTPException, ValueError) as error:
-            raise SetupError(f'[source] ESPARGOS controller "{self.host}" does not answer: {error}') from None
-        if response.status != 200:
-            raise SetupError(f'[source] "{self.host}" refuses {path}: {response.status} {text[:80]}')
+    def _accepted(self, path: str, status: int, text: str) -> str:
+        if status != 200:
+            raise SetupError(f'[source] "{self.name}" refuses {path}: {status} {text[:80]}')
         return text

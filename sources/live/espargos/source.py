@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 import select
-import socket
 import time
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from chachart.node.data.counters import Counters
@@ -18,6 +18,8 @@ from chachart.node.data.settings import Settings
 from chachart.sources.base import SourceSettings
 from chachart.sources.frontend.clock import DeviceClock
 from chachart.sources.live.device import (
+    ANY_PORT,
+    Address,
     CodecError,
     Connection,
     DeviceGone,
@@ -28,21 +30,21 @@ from chachart.sources.live.device import (
     count,
 )
 from chachart.sources.live.espargos import calibration, control, stream
-from chachart.sources.live.espargos.board import BoardFaults, SimulatedBoard
+from chachart.sources.live.espargos.board import BoardFaults
 from chachart.sources.live.espargos.calibration import Correction, trace_delay_s
 from chachart.sources.live.espargos.cluster import ANTENNAS, Cluster, Grouping
-from chachart.sources.live.espargos.control import Channel, Controller
+from chachart.sources.live.espargos.control import Channel
+from chachart.sources.live.espargos.far_end import NetworkBoard
+from chachart.sources.live.espargos.link import Link, NetworkLink
 from chachart.sources.live.espargos.message import TONES, decode_message
+from chachart.sources.live.espargos.serial_link import SerialLink
 from chachart.sources.simulator import Simulator, SimulatorSettings
 
 log = logging.getLogger(__name__)
 
 UDP_PORT = 53330
-RECEIVE_BUFFER_BYTES = 16 << 20
-LONGEST_DATAGRAM = 65535
 KEEP_ALIVE_S = 1.0
 SILENCE_S = 5.0
-GREETING_S = 3.0
 
 
 class EspargosLoopback(BoardFaults):
@@ -59,6 +61,10 @@ class Board(Settings):
 
     host: str = Field("192.168.1.2", min_length=1, max_length=253)
     """Its controller's address, with `:port` where that is not 80."""
+    serial_port: str | None = Field(None, min_length=1)
+    """The serial port that its controller is connected to, instead of a network."""
+    baudrate: int = Field(3_000_000, ge=1)
+    """Of the serial port: 2000000 behind an FT231X."""
     cable_m: float = Field(0.0, ge=0)
     """Length of the cable that brings it the common reference."""
     velocity_factor: float = Field(0.69, gt=0, le=1)
@@ -102,20 +108,28 @@ class EspargosSource(DeviceSource):
             "loopback" if self.settings.loopback else ", ".join(board.host for board in self.settings.boards)
         )
 
-    def _simulate(self) -> SimulatedDevice | None:
+    def simulate(self, address: Address = ANY_PORT) -> SimulatedDevice | None:
+        """See `DeviceSource`."""
         told = self.settings.loopback
         if not told:
             return None
         loopback = told if isinstance(told, EspargosLoopback) else EspargosLoopback()
         channel = Channel(loopback.channel_primary, 0)
-        return SimulatedBoard(Simulator(loopback.scenario, self.array), channel, loopback)
+        return NetworkBoard(Simulator(loopback.scenario, self.array), channel, loopback, address)
 
     def _connect(self) -> Connection:
         boards, port = self.settings.boards, self.settings.udp_port
-        if isinstance(self.simulated, SimulatedBoard):
+        if isinstance(self.simulated, NetworkBoard):
             boards, port = (Board(host=self.simulated.host),), self.simulated.udp_port
         self._check_array(len(boards))
-        return Stream(boards, port, self.settings.calibrate_s, self.rejected)
+        links = [self._link(board, port) for board in boards]
+        cables = np.array([board.cable_m / (board.velocity_factor * SPEED_OF_LIGHT) for board in boards])
+        return Stream(links, cables, self.settings.calibrate_s, self.rejected)
+
+    def _link(self, board: Board, udp_port: int) -> Link:
+        if board.serial_port is not None:
+            return SerialLink(board.serial_port, board.baudrate, self.rejected)
+        return NetworkLink(board.host, udp_port, self.rejected)
 
     def _check_array(self, boards: int) -> None:
         wanted = boards * ANTENNAS, len(TONES)
@@ -127,7 +141,18 @@ class EspargosSource(DeviceSource):
 
 
 class Stream(Connection):
-    """The datagrams of all boards, their calibration, and the frames that come of them.
+    """The sensor packets of all boards, their calibration, and the frames that come of them.
+
+    Parameters
+    ----------
+    links
+        The ways to the boards.
+    cables_s
+        Delay (boards,) of the cable that brings each board the common reference.
+    calibrate_s
+        How long the reference is listened to.
+    rejected
+        Where what was not understood or not whole is counted.
 
     Raises
     ------
@@ -135,20 +160,19 @@ class Stream(Connection):
         If a controller does not answer or does not begin to send.
     """
 
-    def __init__(self, boards: tuple[Board, ...], port: int, calibrate_s: float, rejected: Counters) -> None:
-        self._controllers = [Controller(board.host) for board in boards]
-        self._path_s = np.concatenate(
-            [trace_delay_s() + b.cable_m / (b.velocity_factor * SPEED_OF_LIGHT) for b in boards]
-        )
-        self._port, self._calibrate_s, self._rejected = port, calibrate_s, rejected
-        self._grouping = Grouping(ANTENNAS * len(boards), rejected)
-        self._reassembly = [stream.Reassembly(rejected) for _ in boards]
+    def __init__(
+        self, links: list[Link], cables_s: NDArray[np.float64], calibrate_s: float, rejected: Counters
+    ) -> None:
+        self._links = links
+        self._path_s = (trace_delay_s() + cables_s[:, None]).ravel()
+        self._calibrate_s, self._rejected = calibrate_s, rejected
+        self._grouping = Grouping(ANTENNAS * len(links), rejected)
+        self._reassembly = [stream.Reassembly(rejected) for _ in links]
         self._clock = DeviceClock()
         self._correction: Correction | None = None
         self._references: list[Cluster] = []
         self._calibrating_until: float | None = None
         self._lost = 0
-        self._sockets: dict[str, socket.socket] = {}
         try:
             self._channel = self._begin()
         except SetupError:
@@ -160,33 +184,24 @@ class Stream(Connection):
         now = time.monotonic()
         self._keep_alive(now)
         self._calibrate(now)
-        readable = select.select(list(self._sockets.values()), [], [], min(timeout, KEEP_ALIVE_S))[0]
+        readable = select.select(self._links, [], [], min(timeout, KEEP_ALIVE_S))[0]
         frames: list[Frame] = []
-        for board, receiver in enumerate(self._sockets.values()):
-            if receiver in readable:
+        for board, link in enumerate(self._links):
+            if link in readable:
                 self._heard = time.monotonic()
-                for _ in range(ANTENNAS):  # a packet's worth, then look at the other boards
-                    try:
-                        datagram = receiver.recv(LONGEST_DATAGRAM)
-                    except BlockingIOError:
+                for _ in range(ANTENNAS):  # a Wi-Fi packet's worth, then look at the other boards
+                    packets = link.packets()
+                    frames += [frame for packet in packets for frame in self._take(board, packet)]
+                    if not packets:
                         break
-                    except OSError as error:
-                        raise DeviceGone(str(error)) from None
-                    frames += self._take(board, datagram)
         if not readable and time.monotonic() - self._heard > SILENCE_S:
             raise DeviceGone(f"nothing for {SILENCE_S:g} s")
         return frames if readable else None
 
     def close(self) -> None:
         """Have the controllers stop."""
-        for controller, receiver in zip(self._controllers, self._sockets.values(), strict=False):
-            try:
-                controller.stream(False, receiver.getsockname()[1])
-            except SetupError as error:
-                log.debug("%s", error)
-        for receiver in self._sockets.values():
-            receiver.close()
-        self._sockets.clear()
+        for link in self._links:
+            link.close()
 
     def details(self) -> dict[str, Any]:
         """The channel, and what calibration has found."""
@@ -203,32 +218,16 @@ class Stream(Connection):
     def _begin(self) -> Channel:
         """Ask all boards to send, and wait until each does."""
         channels = set()
-        for controller in self._controllers:
-            controller.identify()
-            controller.acquire()
-            channels.add(controller.channel())
+        for link in self._links:
+            link.identify()
+            link.acquire()
+            channels.add(link.channel())
         if len(channels) > 1:
             raise SetupError(
                 f"[source] the boards listen on different channels: {sorted(c.primary for c in channels)}"
             )
-        for controller in self._controllers:
-            receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            self._sockets[controller.host] = receiver
-            receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
-            receiver.bind(("", 0))
-            address = controller.host.partition(":")[0], self._port
-            try:
-                receiver.sendto(b"", address)
-                controller.stream(True, receiver.getsockname()[1])
-                receiver.settimeout(GREETING_S)
-                greeting = receiver.recv(LONGEST_DATAGRAM)
-            except OSError as error:
-                raise SetupError(f'[source] "{controller.host}" does not begin to send: {error}') from None
-            if greeting != stream.HELLO:
-                raise SetupError(
-                    f'[source] "{controller.host}" begins with {greeting[:8].hex()}, not e5a76000'
-                )
-            receiver.setblocking(False)
+        for link in self._links:
+            link.begin()
         self._heard = self._kept_alive = time.monotonic()
         if self._calibrate_s:
             self._start_calibration()
@@ -238,17 +237,14 @@ class Stream(Connection):
         if now - self._kept_alive < KEEP_ALIVE_S:
             return
         self._kept_alive = now
-        for host, receiver in self._sockets.items():
-            try:
-                receiver.sendto(b"", (host.partition(":")[0], self._port))
-            except OSError as error:
-                raise DeviceGone(str(error)) from None
+        for link in self._links:
+            link.keep_alive()
         self._lost += self._grouping.give_up(now)
 
     def _start_calibration(self) -> None:
         self._references = []
-        for controller in self._controllers:
-            controller.switch(control.REFERENCE)
+        for link in self._links:
+            link.switch(control.REFERENCE)
         self._calibrating_until = time.monotonic() + self._calibrate_s
 
     def _calibrate(self, now: float) -> None:
@@ -257,15 +253,15 @@ class Stream(Connection):
             return
         self._calibrating_until = None
         try:
-            for controller in self._controllers:
-                controller.switch(control.ANTENNAS)
+            for link in self._links:
+                link.switch(control.ANTENNAS)
         except SetupError as error:
             raise DeviceGone(str(error)) from None
         if len(self._references) < calibration.FEWEST:
             log.warning(
                 "%s: only %d reference packets came: frames are not calibrated (is the phase reference "
                 "generated during calibration? see the controller's web page)",
-                self._controllers[0].host,
+                self._links[0].name,
                 len(self._references),
             )
             return

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.settings import Settings
-from chachart.sources.live.device import SimulatedDevice
+from chachart.sources.live.device import ANY_PORT, Address, SimulatedDevice, listener
 from chachart.sources.live.krakensdr import heimdall
 from chachart.sources.live.krakensdr.heimdall import Header
 
@@ -72,21 +72,31 @@ class SimulatedKraken(SimulatedDevice):
         Its antennas.
     """
 
-    def __init__(self, array: ArrayGeometry, faults: KrakenFaults) -> None:
+    def __init__(self, array: ArrayGeometry, faults: KrakenFaults, address: Address = ANY_PORT) -> None:
         super().__init__()
-        self.report = KrakenReport()
+        self._report = KrakenReport()
         self._array, self._faults = array, faults
         self._rng = np.random.default_rng(faults.fault_seed)
         self._sent = 0
         self._stopping = threading.Event()
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.settimeout(0.05)
+        self._listener = listener(address)
         self._thread = threading.Thread(target=self._serve, name="kraken", daemon=True)
+
+    @property
+    def where(self) -> str:
+        """Its address."""
+        host, port = self._listener.getsockname()[:2]
+        return f"host={host} port={port}"
 
     @property
     def port(self) -> int:
         """Where it listens."""
         return int(self._listener.getsockname()[1])
+
+    @property
+    def report(self) -> KrakenReport:
+        """What has become of what it sent."""
+        return self._report
 
     def start(self) -> None:
         """Listen."""
@@ -156,16 +166,16 @@ class SimulatedKraken(SimulatedDevice):
             iq_synchronous=True,
         )
         if fault < f.unsynchronous:
-            self.report.unsynchronous += 1
+            self._report.unsynchronous += 1
             header = replace(good, iq_synchronous=False)
         elif fault < f.unsynchronous + f.overdrive:
-            self.report.overdriven += 1
+            self._report.overdriven += 1
             header = replace(good, overdrive=1)
         elif fault < f.unsynchronous + f.overdrive + f.calibrating:
-            self.report.calibrating += 1
+            self._report.calibrating += 1
             header = replace(good, type=heimdall.CALIBRATION)
         else:
-            self.report.good += 1
+            self._report.good += 1
             header = good
         return heimdall.encode_frame(header, self._samples())
 

@@ -14,6 +14,8 @@ from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import SourceSettings
 from chachart.sources.live.device import (
+    ANY_PORT,
+    Address,
     CodecError,
     Connection,
     DeviceGone,
@@ -65,11 +67,14 @@ class KrakenSource(DeviceSource):
         """Heimdall's address."""
         return "loopback" if self.settings.loopback else f"{self.settings.host}:{self.settings.port}"
 
-    def _simulate(self) -> SimulatedDevice | None:
+    def simulate(self, address: Address = ANY_PORT) -> SimulatedDevice | None:
+        """See `DeviceSource`."""
         told = self.settings.loopback
         if not told:
             return None
-        return SimulatedKraken(self.array, told if isinstance(told, KrakenFaults) else KrakenFaults())
+        return SimulatedKraken(
+            self.array, told if isinstance(told, KrakenFaults) else KrakenFaults(), address
+        )
 
     def _connect(self) -> Connection:
         if self.array.subcarriers < self.array.antennas:

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from chachart.node.data.settings import Settings
 from chachart.sources.base import EndOfSource, Source
-from chachart.sources.live.device import SimulatedDevice
+from chachart.sources.live.device import ANY_PORT, Address, SimulatedDevice, listener
 from chachart.sources.live.oai.tracer import (
     CHUNK,
     END,
@@ -90,21 +90,31 @@ class SimulatedGnb(SimulatedDevice):
         Every how many-th tone of the FFT the source's subcarriers are; the others are interpolated.
     """
 
-    def __init__(self, source: Source, step: int, faults: GnbFaults) -> None:
+    def __init__(self, source: Source, step: int, faults: GnbFaults, address: Address = ANY_PORT) -> None:
         super().__init__()
-        self.report = GnbReport()
+        self._report = GnbReport()
         self._source, self._step, self._faults = source, step, faults
         self._rng = np.random.default_rng(faults.fault_seed)
         self._frame: dict[int, int] = {}
         self._stopping = threading.Event()
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.settimeout(0.05)
+        self._listener = listener(address)
         self._thread = threading.Thread(target=self._serve, name="gnb", daemon=True)
+
+    @property
+    def where(self) -> str:
+        """Its address."""
+        host, port = self._listener.getsockname()[:2]
+        return f"host={host} port={port}"
 
     @property
     def port(self) -> int:
         """Where its tracer listens."""
         return int(self._listener.getsockname()[1])
+
+    @property
+    def report(self) -> GnbReport:
+        """What has become of what it sent."""
+        return self._report
 
     def start(self) -> None:
         """Listen."""
@@ -153,9 +163,9 @@ class SimulatedGnb(SimulatedDevice):
         self._frame[ue] = (self._frame.get(ue, -1) + 1) % FRAMES
         odd, fault = int(self._rng.integers(len(csi))), float(self._rng.random())
         drop, cut = fault < self._faults.drop, fault < self._faults.drop + self._faults.corrupt
-        self.report.dropped += drop
-        self.report.corrupted += cut and not drop
-        self.report.sent += not cut
+        self._report.dropped += drop
+        self._report.corrupted += cut and not drop
+        self._report.sent += not cut
         scale = FULL_SCALE / float(np.abs(csi).max())
         parts = [encode_event(Event(time_ns, _TICK, struct.pack("<3i", 0, self._frame[ue], 0)))]
         for antenna, row in enumerate(csi):

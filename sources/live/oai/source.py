@@ -14,6 +14,8 @@ from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import SourceSettings
 from chachart.sources.live.device import (
+    ANY_PORT,
+    Address,
     CodecError,
     Connection,
     DeviceGone,
@@ -75,12 +77,13 @@ class OaiSource(DeviceSource):
         """The gNB's address."""
         return "loopback" if self.settings.loopback else f"{self.settings.host}:{self.settings.port}"
 
-    def _simulate(self) -> SimulatedDevice | None:
+    def simulate(self, address: Address = ANY_PORT) -> SimulatedDevice | None:
+        """See `DeviceSource`."""
         told = self.settings.loopback
         if not told:
             return None
         loopback = told if isinstance(told, OaiLoopback) else OaiLoopback()
-        return SimulatedGnb(Simulator(loopback.scenario, self.array), self._tone_step(), loopback)
+        return SimulatedGnb(Simulator(loopback.scenario, self.array), self._tone_step(), loopback, address)
 
     def _connect(self) -> Connection:
         address = self.settings.host, self.settings.port

@@ -161,7 +161,8 @@ def test_evaluate_and_the_node_undo_it(tmp_path, clean):
     source = RecordingSettings(path=path)
     array = resolve_array(settings, Recording, source)
     theta, _ = ARRAY.theta_rho(block.position[:UES])
-    chart = BlockProcessor(array, {"averaging": "mean"}, FrameClock(live=False)).process(block).update
+    processor = BlockProcessor(array, {"averaging": "mean"}, FrameClock(live=False))
+    chart = processor.process(block, "bartlett", "bartlett").update
     assert np.sqrt(np.mean((chart.theta - theta) ** 2)) < 1.2 * errors(clean, None)[0]
 
 

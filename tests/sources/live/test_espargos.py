@@ -13,8 +13,9 @@ from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import EndOfSource
-from chachart.sources.live.espargos.board import BoardFaults, SimulatedBoard
+from chachart.sources.live.espargos.board import BoardFaults
 from chachart.sources.live.espargos.control import Channel
+from chachart.sources.live.espargos.far_end import NetworkBoard, SerialBoard
 from chachart.sources.live.espargos.message import TONES
 from chachart.sources.live.espargos.source import Board, EspargosLoopback, EspargosSettings, EspargosSource
 from chachart.sources.simulator import Simulator, SimulatorSettings
@@ -81,7 +82,7 @@ def test_what_is_lost_or_damaged_on_the_way_is_counted_exactly() -> None:
     )
     with EspargosSource(EspargosSettings(loopback=loopback, calibrate_s=0.2), ARRAY) as source:
         blocks = heard(source)
-        assert isinstance(source.simulated, SimulatedBoard)
+        assert isinstance(source.simulated, NetworkBoard)
         report = source.simulated.report
         rejected = source.rejected.as_dict()
     assert min(report.dropped, report.corrupted, report.reordered) > 10
@@ -92,7 +93,7 @@ def test_what_is_lost_or_damaged_on_the_way_is_counted_exactly() -> None:
 
 
 def test_a_board_that_goes_and_comes_back_is_found_again() -> None:
-    first = SimulatedBoard(Simulator(scenario(frames=40), ARRAY), Channel(6, 0), BoardFaults())
+    first = NetworkBoard(Simulator(scenario(frames=40), ARRAY), Channel(6, 0), BoardFaults())
     first.start()
     settings = EspargosSettings(
         boards=(Board(host=first.host),), udp_port=first.udp_port, calibrate_s=0.0, retry_max_s=0.2
@@ -108,7 +109,7 @@ def test_a_board_that_goes_and_comes_back_is_found_again() -> None:
 
 
 def test_somebody_else_at_the_address_is_told() -> None:
-    board = SimulatedBoard(Simulator(scenario(), ARRAY), Channel(6, 0), BoardFaults())
+    board = NetworkBoard(Simulator(scenario(), ARRAY), Channel(6, 0), BoardFaults())
     board.start()
     try:
         wrong = ArrayGeometry("board", 4, 25, 2.472e9, 625_000.0, 0.06)
@@ -122,3 +123,31 @@ def test_somebody_else_at_the_address_is_told() -> None:
 def test_a_board_named_twice_is_a_problem() -> None:
     settings = EspargosSettings(boards=(Board(), Board()))
     assert EspargosSource.problems(settings) == ["boards: '192.168.1.2' stands there twice"]
+
+
+def test_a_board_on_a_serial_line_is_the_same() -> None:
+    board = SerialBoard(
+        Simulator(scenario(frames=100, frame_rate_hz=200.0), ARRAY), Channel(13, 0), BoardFaults()
+    )
+    board.start()
+    settings = EspargosSettings(boards=(Board(serial_port=board.port),), calibrate_s=0.5)
+    blocks: list[CsiBlock] = []
+    try:
+        with EspargosSource(settings, ARRAY) as source:
+            deadline = time.monotonic() + 30
+            while not board.ended.is_set() and time.monotonic() < deadline:
+                block = source.recv(0.1)
+                blocks += [] if block is None else [block]
+            while (block := source.recv(0.3)) is not None:
+                blocks.append(block)
+            assert source.details()["calibration"] == "done"
+            assert sum(len(b) for b in blocks) + source.rejected.as_dict().get("calibrating", 0) == 100
+    finally:
+        board.stop()
+    assert likeness(blocks).min() > 0.999999
+
+
+def test_a_serial_line_without_a_board_is_told() -> None:
+    settings = EspargosSettings(boards=(Board(serial_port="/dev/nothing"),))
+    with pytest.raises(SetupError, match="cannot be opened"):
+        EspargosSource(settings, ARRAY).open()

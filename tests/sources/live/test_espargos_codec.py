@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from chachart.node.data.counters import Counters
 from chachart.sources.live.device import CodecError
-from chachart.sources.live.espargos import stream
+from chachart.sources.live.espargos import stream, uart
 from chachart.sources.live.espargos.message import TONES, SensorCsi, decode_message, encode_message
 
 RNG = np.random.default_rng(3)
@@ -131,3 +131,24 @@ def test_a_message_that_never_becomes_whole_is_counted() -> None:
     assert reassembly.add(stream.Fragment(1, 0, 2, b"a"), 0.0) is None
     assert reassembly.add(stream.Fragment(2, 0, 2, b"b"), stream.KEPT_S + 1) is None
     assert rejected.as_dict() == {"incomplete_message": 1}
+
+
+@given(st.integers(0, 255), st.integers(0, 65535), st.binary(max_size=100))
+def test_a_frame_on_a_serial_line_comes_back(kind: int, number: int, payload: bytes) -> None:
+    frame = uart.UartFrame(kind, number, payload)
+    assert uart.decode(uart.encode(frame)) == frame
+
+
+@given(st.binary(max_size=60))
+def test_any_bytes_on_a_serial_line_are_a_frame_or_a_reason(data: bytes) -> None:
+    for read in (uart.decode, uart.parse_hello, uart.parse_request, uart.parse_response):
+        with suppress(CodecError):
+            read(data)
+
+
+@given(st.sampled_from(["GET", "POST"]), st.text(max_size=20), st.binary(max_size=50))
+def test_requests_and_answers_come_back(method: str, path: str, body: bytes) -> None:
+    assert uart.parse_hello(uart.hello_response("espargos", "rev", 3, 1)) == ("espargos", 3)
+    ascii_path = path.encode("ascii", "ignore").decode()
+    assert uart.parse_request(uart.request(method, ascii_path, body)) == (ascii_path, body)
+    assert uart.parse_response(uart.response(200, b"ok")) == (200, "ok")

@@ -1,0 +1,81 @@
+"""Be a live device: a simulated one, at the other end of real sockets, for a node to listen to.
+
+chachart device espargos                                  a board, its controller on port 8000
+chachart device oai --listen 127.0.0.1:2021               a 5G gNB's T tracer
+chachart device krakensdr --set source.loopback.frames=100  keys of the source's loopback table
+chachart device espargos --config espargos.toml           the array and [source.loopback] of a configuration
+
+It prints what to give to `chachart-node --set`, plays until its scenario ends or Ctrl-C, and says what has
+become of what it sent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import threading
+from dataclasses import asdict
+from pathlib import Path
+
+from chachart.config.load import load
+from chachart.config.registry import source_class
+from chachart.node.data.errors import SetupError
+from chachart.sources.live.device import Address, DeviceSource
+
+PORTS = {"espargos": 8000, "oai": 2021, "krakensdr": 5000}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line of `chachart device`."""
+    parser.add_argument("device", metavar="DEVICE", help=", ".join(PORTS))
+    parser.add_argument("--listen", type=_address, metavar="HOST:PORT", help="127.0.0.1 and its usual port")
+    parser.add_argument(
+        "--config", type=Path, metavar="TOML", help="array and loopback (default: DEVICE-loopback.toml)"
+    )
+    parser.add_argument(
+        "--set", action="extend", nargs="+", default=[], metavar="SECTION.KEY=VALUE", help="change the config"
+    )
+    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Play to the end.
+
+    Raises
+    ------
+    SetupError
+        If there is no such device, the configuration does not fit, or the address is taken.
+    """
+    if arguments.device not in PORTS:
+        raise SetupError(f'there is no device "{arguments.device}", only {", ".join(PORTS)}')
+    settings = load(arguments.config or Path(f"{arguments.device}-loopback.toml"), arguments.set)
+    cls = source_class(settings.source.type)
+    if settings.source.type != arguments.device or not issubclass(cls, DeviceSource):
+        raise SetupError(f'the configuration has a source "{settings.source.type}", not "{arguments.device}"')
+    if settings.array is None:
+        raise SetupError("the configuration has no [array]")
+    source = cls(settings.source, settings.array.geometry())
+    device = source.simulate(arguments.listen or ("127.0.0.1", PORTS[arguments.device]))
+    if device is None:
+        raise SetupError("[source] loopback: must be true, or a table that says what to simulate")
+    asked = threading.Event()
+    for name in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(name, lambda *_: asked.set())
+    device.start()
+    try:
+        print(f"{arguments.device}: {device.where}", flush=True)
+        while not (asked.wait(0.1) or device.ended.is_set()):
+            pass
+    finally:
+        device.stop()
+    report = asdict(device.report)
+    print(json.dumps(report) if arguments.json else "\n".join(f"{key:<14} {n}" for key, n in report.items()))
+    return 0
+
+
+def _address(text: str) -> Address:
+    host, colon, port = text.rpartition(":")
+    if not colon or not port.isdigit() or int(port) > 65535:
+        raise argparse.ArgumentTypeError(f"{text} is no HOST:PORT")
+    return host.strip("[]"), int(port)
