@@ -51,13 +51,17 @@ class AmplitudeSum(SlotState):
         mean: NDArray[np.float32] = np.abs(csi).sum(axis=(1, 2)) / np.float32(csi.shape[2])
         return mean
 
-    def estimate(self, group: Grouping, features: NDArray[Any], weight: Floats, power: Floats) -> Floats:
-        """Take a block's frames; s (U,) of its UEs.
+    def take(self, group: Grouping, features: NDArray[Any]) -> NDArray[Any]:
+        """Take what is kept of a block's frames; returns the sums of its UEs."""
+        return features if self.kind == "debiased" else self._bank.add(group, features)
+
+    def estimate(self, sums: NDArray[Any], weight: Floats, power: Floats) -> Floats:
+        """s (U,) of a block's UEs.
 
         Parameters
         ----------
-        features
-            Of each frame.
+        sums
+            Of `take`.
         weight
             (U,) sum of the weights of each UE's frames.
         power
@@ -65,7 +69,7 @@ class AmplitudeSum(SlotState):
         """
         if self.kind == "debiased":
             return self.antennas * np.sqrt(power)
-        mean = np.abs(self._bank.add(group, features)).astype(np.float64)
+        mean = np.abs(sums).astype(np.float64)
         total: Floats = mean.sum(axis=1) if self.kind == "coherent" else mean
         return total / weight
 

@@ -66,17 +66,21 @@ class SpectralAxis(SlotState):
         product: Complex = np.matmul(x, conjugate.swapaxes(1, 2))
         return product
 
-    def estimate(self, group: Grouping, features: Complex, weight: Floats, frames: Floats) -> Columns:
-        """Take a block's frames and estimate its UEs.
+    def take(self, group: Grouping, features: Complex) -> Complex:
+        """Take what is kept of a block's frames; returns the sums of its UEs."""
+        sums: Complex = self._bank.add(group, features)
+        return sums
+
+    def estimate(self, group: Grouping, sums: Complex, weight: Floats, frames: Floats) -> Columns:
+        """Estimate a block's UEs.
 
         Parameters
         ----------
-        features
-            Of each frame.
+        sums
+            Of `take`.
         weight, frames
             (U,) sum of the weights of each UE's frames, and their effective number.
         """
-        sums = self._bank.add(group, features)
         n, snapshots = self.manifold.size, frames * self.snapshots
         scale = weight * (self.snapshots * n)
         if self.method == "bartlett":
@@ -85,7 +89,8 @@ class SpectralAxis(SlotState):
         r = forward_backward(sums) if self.options.forward_backward else sums
         factor = self._factor(r, group.slots, snapshots)
         c = self._lags.of_products(factor, factor.conj())
-        u, _ = self.search.extremum(c, maximum=self.method in spectra.MAXIMUM)
+        u, value = self.search.extremum(c, maximum=self.method in spectra.MAXIMUM)
+        u[np.isnan(value)] = np.nan
         steering = self.manifold.steering(u).astype(r.dtype)[:, :, None]
         beam = np.einsum("kni,kni->k", steering.conj(), np.matmul(r, steering)).real
         return self._judge(u, np.einsum("kii->k", r).real / scale, beam / (scale * n), snapshots)
@@ -121,7 +126,7 @@ class SpectralAxis(SlotState):
             basis = dominant(r, wanted) if slots is None else self._tracker.update(slots, r, snapshots)
             signal = basis.conj().swapaxes(1, 2)
         else:
-            values, vectors = np.linalg.eigh(r)
+            values, vectors = spectra.eigh(r)
             if wanted == "mdl":
                 orders = order.mdl(values, snapshots)
             else:

@@ -1,8 +1,8 @@
 """Sums by UE: whole blocks of frames into weighted sums of covariances, or of their lag sums alone.
 
 A UE's sum is A = sum over its frames of decay**age X, its weight W = sum of decay**age; the average A / W is
-the plain mean for decay = 1 and the exponentially forgetting mean, exact from the first frame on, below
-that.
+the plain mean (of up to `MOST_WEIGHT` frames alike) for decay = 1 and the exponentially forgetting mean,
+exact from the first frame on, below that.
 """
 
 from __future__ import annotations
@@ -22,6 +22,10 @@ Floats = NDArray[np.float64]
 MATMUL_LIMIT = 64
 """Up to this size, lag sums come from the covariance itself; beyond, FFTs need fewer operations."""
 
+MOST_WEIGHT = 2.0**20
+"""Frames that a plain mean weighs alike. Single precision would round away what comes after many more, so
+what was there is then halved, sum and weight: the mean stays, and new frames go on counting."""
+
 _SCRATCH_BYTES = 1 << 20
 _TRANSFORM_BYTES = 4 << 20
 
@@ -33,9 +37,15 @@ class Grouping:
     ----------
     frame_slots
         intp (K,), the slot of each frame.
+
+    Attributes
+    ----------
+    rest
+        (U,) what is left of each UE's earlier sums beside decay; None for all of it.
     """
 
     def __init__(self, frame_slots: Slots) -> None:
+        self.rest: Floats | None = None
         by_slot = np.argsort(frame_slots, kind="stable")
         ordered = frame_slots[by_slot]
         starts = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
@@ -114,6 +124,8 @@ class Bank(SlotState):
                 reals *= reals.dtype.type(self.decay)
             else:
                 reals *= group.fade(self.decay).astype(reals.dtype).reshape(-1, *[1] * (reals.ndim - 1))
+        if group.rest is not None:
+            new *= group.rest.astype(new.real.dtype).reshape(-1, *[1] * (new.ndim - 1))
         new += group.sum(x, self.decay)
         self.rows[group.slots] = new
         return new
@@ -128,7 +140,14 @@ class Weights(SlotState):
         super().__init__(sum=self._sum, squares=self._squares)
 
     def add(self, group: Grouping) -> tuple[Floats, Floats]:
-        """Count a block's frames; returns W and the effective number of frames W^2 / sum w^2, each (U,)."""
+        """Count a block's frames, before anything else takes them.
+
+        Returns W and the effective number of frames W^2 / sum w^2, each (U,).
+        """
+        before = self._sum.rows[group.slots]
+        if group.rest is None and (full := before >= MOST_WEIGHT).any():
+            group.rest = np.where(full, 0.5, 1.0)
+            self._squares.rows[group.slots] *= group.rest  # once more below: these are squares
         ones = np.ones(len(group.order))
         weight = self._sum.add(group, ones)
         return weight, weight * weight / self._squares.add(group, ones)

@@ -43,7 +43,9 @@ class ChartEstimator:
     rejected
         Frames that were not used, and rows that could not be published, by reason: `shape` (not antennas x
         subcarriers), `zero` (all of it), `not_finite`, `out_of_range` (too large or too small for single
-        precision), `untrained` (rho = "lr" before two UEs with a position were seen).
+        precision), `no_estimate` (frames that stay in the average, but the method finds no direction in it,
+        as MVDR without loading where it cannot be inverted), `untrained` (rows without a range: rho = "lr"
+        before two UEs with a position were seen).
 
     Raises
     ------
@@ -161,7 +163,8 @@ class ChartEstimator:
             block, features = block.take(good), features.take(good)
         group = Grouping(self._memory.assign(block.ue, block.time_ns).slots)
         position = self._remember(block, group)
-        located = self._memory.locator.estimate(group, features, position)
+        with np.errstate(divide="ignore", invalid="ignore"):  # NaN is for those without an estimate
+            located = self._memory.locator.estimate(group, features, position)
         return self._published(block, group, located, position)
 
     def forget(self, now_ns: int) -> NDArray[np.uint64]:
@@ -225,7 +228,7 @@ class ChartEstimator:
         self.rejected.merge({str(r): int(n) for r, n in zip(reasons, counts, strict=True)})
 
     def spectrum(self, ue: int) -> dict[str, Any] | None:
-        """The spectra behind a UE's estimate (largest value 1); None if the UE is unknown.
+        """The spectra behind a UE's estimate (largest value 1); None if the UE has none.
 
         Keys `theta_grid_rad`, `theta_spectrum`, `theta`, `rho`, `theta_std`, `rho_std` and, where a spectral
         method gives the range, `rho_grid_m` and `rho_spectrum`.
@@ -233,7 +236,9 @@ class ChartEstimator:
         if not 0 <= ue < 2**64:
             return None
         slot = int(self._memory.table.lookup(np.array([ue], np.uint64))[0])
-        found = None if slot < 0 else self._memory.locator.spectrum(slot, SPECTRUM_POINTS)
+        if slot < 0 or np.isnan(self._memory.latest["theta"].rows[slot]):
+            return None
+        found = self._memory.locator.spectrum(slot, SPECTRUM_POINTS)
         if found is None:
             return None
         return found | {name: float(kept.rows[slot]) for name, kept in self._memory.latest.items()}
@@ -284,10 +289,14 @@ class ChartEstimator:
             position=position,
             **{name: values for name, values in at.items() if name in COLUMNS},
         )
-        good = np.isfinite(at["theta"]) & np.isfinite(at["rho"])
+        found = np.isfinite(at["theta"])
+        good = found & np.isfinite(at["rho"])
         if good.all():
             return update
-        self.rejected.add("untrained", int((~good).sum()))
+        if lost := int(group.counts[~found].sum()):
+            self.rejected.add("no_estimate", lost)
+        if untrained := int((found & ~good).sum()):
+            self.rejected.add("untrained", untrained)
         return update.take(good)
 
     def _nothing(self) -> ChartUpdate:

@@ -30,6 +30,7 @@ class SeparateLocator(Locator):
         self._array, self._weights = array, Weights(options.decay)
         self._rho: SpectralAxis | None = None
         super().__init__(weights=self._weights, theta=self._theta)
+        self._takers: dict[str, SpectralAxis | AmplitudeSum] = {"theta": self._theta}
         if options.rho in AMPLITUDE:
             self._floor = NoiseFloor(array.antennas)
             self._amplitude = AmplitudeSum(options.amplitude, array.antennas, options.decay)
@@ -39,13 +40,15 @@ class SeparateLocator(Locator):
                 train_ues=options.lr_train_ues,
                 log_range=options.lr_log_range,
             )
-            self.children |= {"amplitude": self._amplitude, "ranging": self._ranging}
+            self._takers["amplitude"] = self._amplitude
+            self.children["ranging"] = self._ranging
         else:
             manifold = DelayManifold.of(array, options.rho_max_m)
             self._rho = SpectralAxis(
                 "rho", options.rho, manifold, options.rho_step_m, array.antennas, options
             )
-            self.children["rho"] = self._rho
+            self._takers["rho"] = self._rho
+        self.children |= self._takers
 
     def features(self, csi: NDArray[np.complex64]) -> Features:
         """Of both axes, or of the angle axis and the amplitude."""
@@ -59,14 +62,15 @@ class SeparateLocator(Locator):
 
     def estimate(self, group: Grouping, features: Features, position: NDArray[np.float32]) -> Columns:
         """Take a block's frames and locate its UEs; rho is NaN before LR has its training."""
+        # all is taken before anything is worked out, so that no error leaves a frame half added
         weight, frames = self._weights.add(group)
-        at = self._theta.estimate(group, features.kept["theta"], weight, frames)
+        sums = {name: self._takers[name].take(group, kept) for name, kept in features.kept.items()}
+        at = self._theta.estimate(group, sums["theta"], weight, frames)
         at["snr"] = 10 * np.log10(at["power"] / at["noise"])
         at["snapshots"] = frames
         if self._rho is not None:
-            return self._rho.estimate(group, features.kept["rho"], weight, frames) | at
-        power = self._signal(group, weight, frames)
-        s = self._amplitude.estimate(group, features.kept["amplitude"], weight, power)
+            return self._rho.estimate(group, sums["rho"], weight, frames) | at
+        s = self._amplitude.estimate(sums["amplitude"], weight, self._signal(group, weight, frames))
         known_rho = self._array.theta_rho(position)[1]
         at["rho"], at["rho_std"] = self._ranging.ranges(group.slots, s, known_rho)
         return at

@@ -11,12 +11,14 @@ Bartlett needs no function: its X are the snapshots. None of this knows where a(
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Complex = NDArray[np.complexfloating[Any, Any]]
+Real = NDArray[np.floating[Any]]
 
 MAXIMUM = frozenset({"bartlett", "music"})
 """Methods that look for the maximum of ‖Xᴴa‖²; the others look for its minimum."""
@@ -53,10 +55,13 @@ def minnorm(signal: Complex) -> Complex:
 
 
 def inverse_cholesky(r: Complex) -> Complex:
-    """L^-1 where R = L Lᴴ (K, N, N) is positive definite, by halves: most of the work is matrix products."""
+    """L^-1 where R = L Lᴴ (K, N, N) is positive definite, by halves: most of the work is matrix products.
+
+    NaN for those of the batch that are not.
+    """
     n = r.shape[-1]
     if n <= _SMALL:
-        return _triangular_inverse(np.linalg.cholesky(r))
+        return _triangular_inverse(_each(np.linalg.cholesky, r))
     h = n // 2
     out = np.zeros_like(r)
     upper = out[:, :h, :h] = inverse_cholesky(r[:, :h, :h])
@@ -64,6 +69,26 @@ def inverse_cholesky(r: Complex) -> Complex:
     lower = out[:, h:, h:] = inverse_cholesky(r[:, h:, h:] - np.matmul(below, below.conj().swapaxes(1, 2)))
     np.matmul(-lower, np.matmul(below, upper), out=out[:, h:, :h])
     return out
+
+
+def eigh(r: Complex) -> tuple[Real, Complex]:
+    """Eigenvalues (K, N), ascending, and eigenvectors of Hermitian matrices; NaN where there are none."""
+    try:
+        return np.linalg.eigh(r)
+    except np.linalg.LinAlgError:
+        values = _each(lambda part: np.linalg.eigh(part)[0], r)
+        return values, _each(lambda part: np.linalg.eigh(part)[1], r)
+
+
+def _each(decompose: Callable[[Complex], NDArray[Any]], r: Complex) -> NDArray[Any]:
+    """A decomposition of a batch, NaN for the matrices that have none instead of an error for them all."""
+    try:
+        return decompose(r)
+    except np.linalg.LinAlgError:
+        if len(r) == 1:
+            return np.full_like(decompose(np.eye(r.shape[-1], dtype=r.dtype)[None]), np.nan)
+        half = len(r) // 2
+        return np.concatenate([_each(decompose, r[:half]), _each(decompose, r[half:])])
 
 
 def _triangular_inverse(lower: Complex) -> Complex:

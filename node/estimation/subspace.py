@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.estimation.covariance import Bank
+from chachart.node.estimation.spectra import eigh
 from chachart.node.estimation.state import Slots, SlotState
 
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -47,15 +48,18 @@ class SubspaceTracker(SlotState):
 
     def __init__(self, size: int, order: int) -> None:
         self.size, self.order = size, order
-        self._bank = Bank((order, size), np.complex64, 1.0)
+        self._bank = Bank((order, size), np.complex64)
+        start = np.random.default_rng(0).standard_normal((order, size, 2), np.float32)
+        self._start: NDArray[np.complex64] = start.view(np.complex64)[..., 0]
         super().__init__(bank=self._bank)
 
     def update(self, slots: Slots, r: Complex, snapshots: Real) -> Complex:
         """Bases (U, order, N) for the covariances r (U, N, N) of `slots`, each from `snapshots` (U,)."""
         basis = self._bank.rows[slots]
-        cold = basis[:, 0, 0] == 0
+        first = basis[:, 0].view(np.float32)
+        cold = ~(np.einsum("kn,kn->k", first, first) > 0.5)  # nothing yet, or NaN
         if cold.any():
-            rows = r[cold, :: self.size // self.order][:, : self.order]
+            rows = np.matmul(self._start, r[cold])
             basis[cold] = orthonormal(rows / np.abs(rows).max(axis=(1, 2), keepdims=True))
         basis = iterate(r, basis, snapshots)
         self._bank.rows[slots] = basis
@@ -64,7 +68,7 @@ class SubspaceTracker(SlotState):
 
 def dominant(r: Complex, order: int) -> Complex:
     """Conjugates (K, order, N) of the dominant eigenvectors of r (K, N, N), by full decomposition."""
-    vectors = np.linalg.eigh(r)[1][:, :, : -order - 1 : -1]
+    vectors = eigh(r)[1][:, :, : -order - 1 : -1]
     basis: Complex = vectors.conj().swapaxes(1, 2)
     return basis
 

@@ -97,7 +97,9 @@ class BlockProcessor:
             update = self._estimator.update(block)
         except Exception:
             log.exception("a block of %d frames could not be estimated", len(block))
-            return Outcome(None, 0, {"estimation_failed": len(block)})
+            dropped = self._newly_rejected()
+            dropped["estimation_failed"] = len(block) - sum(dropped.values())
+            return Outcome(None, 0, dropped)
         dropped = self._newly_rejected()
         if untrained := dropped.pop("untrained", 0):
             if not self.untrained:

@@ -54,6 +54,30 @@ def test_a_block_that_the_estimator_refuses_is_counted(caplog: pytest.LogCapture
     assert "6 frames could not be estimated" in caplog.text
 
 
+def test_a_frame_of_a_failed_block_is_counted_once() -> None:
+    worker = processor()
+    frames = block()
+    frames.csi[1] = 0
+    object.__setattr__(frames, "time_ns", frames.time_ns[:3])
+    outcome = worker.process(frames, *BARTLETT)
+    assert (outcome.estimated, outcome.dropped) == (0, {"zero": 1, "estimation_failed": 5})
+    outcome = worker.process(block(seq=6), *BARTLETT)
+    assert (outcome.estimated, outcome.dropped) == (6, {})
+
+
+def test_frames_without_an_estimate_are_not_estimated() -> None:
+    worker = processor(theta="mvdr", rho="bartlett", loading=0.0)  # 4 snapshots a frame for 8 x 8
+    frames = block()
+    ues = np.arange(6) // 3
+    frames.ue[:] = ues
+    outcome = worker.process(frames.take(ues == 0), "mvdr", "bartlett")
+    assert (outcome.estimated, outcome.dropped) == (3, {})
+    outcome = worker.process(frames.take(np.array([0, 3])), "mvdr", "bartlett")
+    assert outcome.update is not None
+    assert outcome.update.ue.tolist() == [0]
+    assert (outcome.estimated, outcome.dropped) == (1, {"no_estimate": 1})
+
+
 def test_untrained_rows_are_no_lost_frames(caplog: pytest.LogCaptureFixture) -> None:
     worker = processor(rho="lr")
     outcome = worker.process(block(position=False), "bartlett", "lr")
