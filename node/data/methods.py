@@ -6,5 +6,5 @@ from typing import Literal
 
 SpectralMethod = Literal["bartlett", "mvdr", "minnorm", "music"]
 AmplitudeMethod = Literal["isq", "lr"]
-ThetaMethod = Literal[SpectralMethod, "joint"]
-RhoMethod = Literal[SpectralMethod, "joint", AmplitudeMethod]
+ThetaMethod = Literal[SpectralMethod, "joint", "none"]
+RhoMethod = Literal[SpectralMethod, "joint", AmplitudeMethod, "none"]

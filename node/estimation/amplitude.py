@@ -26,24 +26,24 @@ class AmplitudeSum(SlotState):
     ----------
     kind
         "debiased", "coherent" or "noisy".
-    antennas
-        N_R.
+    antennas, live
+        N_R, and how many of them count and are in the frames: s is made up for the others.
     decay
         Weight of a frame relative to the next one of its UE.
     """
 
-    def __init__(self, kind: str, antennas: int, decay: float) -> None:
-        self.kind, self.antennas = kind, antennas
+    def __init__(self, kind: str, antennas: int, live: int, decay: float) -> None:
+        self.kind, self.antennas, self.live = kind, antennas, live
         kept: dict[str, tuple[tuple[int, ...], type[np.generic]]] = {
             "debiased": ((0,), np.float32),
-            "coherent": ((antennas,), np.complex64),
+            "coherent": ((live,), np.complex64),
             "noisy": ((), np.float32),
         }
         self._bank = Bank(*kept[kind], decay)
         super().__init__(bank=self._bank)
 
     def of_frames(self, csi: NDArray[np.complex64]) -> NDArray[Any]:
-        """What is kept of each frame (K, N_R, N_S): nothing, h of the first subcarrier, or mean |h|."""
+        """What is kept of each frame (K, live, N_S): nothing, h of the first subcarrier, or mean |h|."""
         if self.kind == "debiased":
             return np.zeros((len(csi), 0), np.float32)
         if self.kind == "coherent":
@@ -71,7 +71,7 @@ class AmplitudeSum(SlotState):
             return self.antennas * np.sqrt(power)
         mean = np.abs(sums).astype(np.float64)
         total: Floats = mean.sum(axis=1) if self.kind == "coherent" else mean
-        return total / weight
+        return total * (self.antennas / self.live) / weight
 
 
 class Isq(SlotState):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.estimation import order, spectra
-from chachart.node.estimation.bounds import mvdr_excess, stochastic_std
+from chachart.node.estimation.bounds import minnorm_excess, mvdr_excess, stochastic_std
 from chachart.node.estimation.covariance import Bank, Grouping, LagSums, forward_backward
 from chachart.node.estimation.locator import Columns
 from chachart.node.estimation.manifold import Search, UniformManifold, derivatives
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 
 
 class SpectralAxis(SlotState):
-    """A spectral method on a manifold. Bartlett keeps 2 N real numbers a UE, the others N x N complex ones.
+    """A spectral method on a manifold. Bartlett keeps 2 L real numbers a UE, the others N x N complex ones.
 
     Parameters
     ----------
@@ -48,9 +48,9 @@ class SpectralAxis(SlotState):
         self.name, self.method, self.manifold, self.options = name, method, manifold, options
         self.snapshots = snapshots
         self.search = Search(manifold, step, options.newton_steps)
-        shape = (n,) if method == "bartlett" else (n, n)
+        shape = (len(manifold.lattice.lags),) if method == "bartlett" else (n, n)
         self._bank = Bank(shape, np.complex64, options.decay)
-        self._lags = LagSums(n)
+        self._lags = LagSums(manifold.lattice)
         super().__init__(bank=self._bank)
         if method in ("music", "minnorm") and isinstance(options.signal_order, int):
             self._tracker = SubspaceTracker(n, options.signal_order)
@@ -59,7 +59,7 @@ class SpectralAxis(SlotState):
     def of_frames(self, x: Complex, conjugate: Complex) -> Complex:
         """What is kept of each frame, from snapshot matrices x (K, N, M) and their conjugates.
 
-        Lag polynomials (K, N) for Bartlett, covariances (K, N, N) for the others.
+        Lag polynomials (K, L) for Bartlett, covariances (K, N, N) for the others.
         """
         if self.method == "bartlett":
             return self._lags.of_products(x, conjugate)
@@ -96,7 +96,7 @@ class SpectralAxis(SlotState):
         return self._judge(u, np.einsum("kii->k", r).real / scale, beam / (scale * n), snapshots)
 
     def mean_lags(self, slots: Slots, weight: Floats) -> Complex:
-        """Lag polynomials (U, N) of the average covariances, per element: the first is the mean power."""
+        """Lag polynomials (U, L) of the average covariances, per element: the first is the mean power."""
         sums = self._bank.rows[slots]
         lags = sums if self.method == "bartlett" else self._lags.of(sums)
         scale = weight * (self.snapshots * self.manifold.size)
@@ -110,7 +110,8 @@ class SpectralAxis(SlotState):
             factor = self._factor(r, None, np.array([frames * self.snapshots]))
             c = self._lags.of_products(factor, factor.conj())
         grid = self.manifold.points(points)
-        power = derivatives(np.repeat(c.T, points, axis=1), self.manifold.u(grid))[0]
+        lags = self.manifold.lattice.lags
+        power = derivatives(np.repeat(c.T, points, axis=1), self.manifold.u(grid), lags)[0]
         if self.method == "music":
             power = self.manifold.size - power
         if self.method != "bartlett":
@@ -142,9 +143,9 @@ class SpectralAxis(SlotState):
         n = self.manifold.size
         power = np.maximum((n * beam - total) / (n - 1), total / np.sqrt(n * snapshots))
         noise = np.maximum(total - power, 1e-6 * total)
-        u_std = stochastic_std(n, snapshots, power / noise)
+        u_std = stochastic_std(self.manifold.lattice, snapshots, power / noise)
         if self.method == "minnorm":
-            u_std *= np.sqrt((n + 1) / 6)
+            u_std *= np.sqrt(minnorm_excess(self.manifold.lattice))
         elif self.method == "mvdr":
             mirrored = 2 if self.options.forward_backward else 1
             u_std *= np.sqrt(mvdr_excess(n, mirrored * snapshots, power / noise, self.options.loading))

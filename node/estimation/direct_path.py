@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.estimation.lattice import Lattice
 from chachart.node.estimation.locator import Columns
 from chachart.node.estimation.manifold import AngleManifold, DelayManifold
 from chachart.node.estimation.periodogram import Periodogram, Power
@@ -43,6 +44,8 @@ CROWDING = 30.0
 """Echoes crowd around the direct path: their power shifts its peak so many times as much as spread evenly."""
 SPREAD_DOUBT = 0.8
 """Squint and curvature explain away no more than the rest of the noise: simulated waves may have neither."""
+LOBE_FINENESS = 4
+"""Points per grid step between which the side lobes of elements with gaps are looked for."""
 LEAST_NOISE = 1e-7
 """Of the whole power: what single precision adds."""
 FLOOR_POINTS = 256
@@ -62,19 +65,20 @@ class DirectPath:
 
     def __init__(self, array: ArrayGeometry, rho_max_m: float) -> None:
         self.angle, self.delay = AngleManifold.of(array), DelayManifold.of(array, rho_max_m)
-        self.periodogram = Periodogram(array.antennas, array.subcarriers)
-        self._elements = array.antennas * array.subcarriers
+        lattices = antennas, tones = self.angle.lattice, self.delay.lattice
+        self.periodogram = Periodogram(antennas, tones)
+        self._elements = antennas.size * tones.size
         a, d = self.periodogram.grid
         self._u, self._v = 2 * np.pi / a * np.arange(a), 2 * np.pi / d * np.arange(d)
         lag = np.arange(d)[:, None] - np.arange(d)  # [of the other path, of the candidate]
-        cell_m = array.unambiguous_rho_m / array.subcarriers
+        cell_m = array.unambiguous_rho_m / tones.span
         cost = lag % d * (array.unambiguous_rho_m / d / max(DELAY_SPREAD_M, cell_m))
         self._delay_cost = cost.astype(np.float32)
         turn = _wrapped(self._u[:, None] - self._u)
-        cell = 2 * np.pi / array.antennas / self.angle.phase
+        cell = 2 * np.pi / antennas.span / self.angle.phase
         cost = np.abs(turn) / self.angle.phase / max(ANGLE_SPREAD, cell / 2)
         self._angle_cost = cost.astype(np.float32)
-        self._lobes = _lobes(array.antennas, a), _lobes(array.subcarriers, d)
+        self._lobes = _lobes(antennas, a), _lobes(tones, d)
         cells = np.arange(a * d).reshape(a, d)
         ring = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
         self._neighbours = np.stack([np.roll(cells, shift, axis=(0, 1)).ravel() for shift in ring])
@@ -83,12 +87,11 @@ class DirectPath:
         self._border = np.ones((a, d), np.bool_)
         self._border[1:-1, 1:-1] = False
         self._allowed = self._searched()
-        m2, n2 = (size * size - 1 for size in self.periodogram.shape)
-        middle_hz = array.carrier_hz + (array.subcarriers - 1) / 2 * array.subcarrier_spacing_hz
-        self._squint = array.subcarrier_spacing_hz / middle_hz * np.sqrt(m2 * n2) / 12
-        d_m = array.element_spacing_m
-        self._bend = np.pi * d_m**2 / array.wavelength_m * np.sqrt(m2 * (m2 - 3) / 180)
-        self._reach_m = array.antennas * d_m
+        self._variance = [lattice.moment / lattice.size for lattice in lattices]
+        step_hz, step_m = self._steps(array)
+        self._squint = step_hz / array.middle_hz * np.sqrt(self._variance[0] * self._variance[1])
+        self._bend = np.pi * step_m**2 / array.wavelength_m * float(np.std(antennas.centred**2))
+        self._reach_m = antennas.span * step_m
         stride = max(int(np.sqrt(a * d / FLOOR_POINTS)), 1)
         self._sparse = slice(None, None, stride)
         points = len(range(0, a, stride)) * len(range(0, d, stride))
@@ -127,6 +130,12 @@ class DirectPath:
             "noise": rest,
             "floor": noise,
         }
+
+    def _steps(self, array: ArrayGeometry) -> tuple[float, float]:
+        """One step between tones in Hz, and one between elements in metres."""
+        tones = self.delay.phase / array.rho_phase
+        elements = self.angle.phase / array.theta_phase * array.carrier_hz / array.middle_hz
+        return tones * array.subcarrier_spacing_hz, elements * array.element_spacing_m
 
     def _searched(self) -> NDArray[np.bool_]:
         """Grid points (A, D) where a direct path may have its maximum: up to one step out of range."""
@@ -228,11 +237,11 @@ class DirectPath:
         det = fuu * fvv - fuv * fuv
         concave = (fuu < 0) & (fvv < 0) & (det > 0)
         det[~concave] = 1
-        limits = [np.pi / size for size in self.periodogram.shape]
+        limits = [np.pi / span for span in self.periodogram.span]
         du = np.where(concave, np.clip((fuv * fv - fvv * fu) / det, -limits[0], limits[0]), 0)
         dv = np.where(concave, np.clip((fuv * fu - fuu * fv) / det, -limits[1], limits[1]), 0)
         top = np.maximum(top + (fu * du + fv * dv) / 2, 1e-30)
-        lone = [6 / ((size * size - 1) * top) for size in self.periodogram.shape]
+        lone = [1 / (2 * variance * top) for variance in self._variance]
         u_var = np.where(concave, -fvv / det, lone[0])
         v_var = np.where(concave, -fuu / det, lone[1])
         return u + du, v + dv, top, u_var, v_var
@@ -241,7 +250,7 @@ class DirectPath:
         """v in the searched range; a little below 0, it is noise about 0 rather than the circle's far end."""
         v = v % (2 * np.pi)
         far = -self.delay.low
-        slack = np.minimum(3 * v_std, np.pi / self.delay.size)
+        slack = np.minimum(3 * v_std, np.pi / self.delay.lattice.span)
         zero = 2 * np.pi - v < np.maximum(slack, v - far)
         return np.where(zero, 0, np.minimum(v, far))
 
@@ -251,11 +260,18 @@ def _wrapped(angle: NDArray[Any]) -> NDArray[Any]:
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
-def _lobes(size: int, grid: int) -> Power:
+def _lobes(lattice: Lattice, grid: int) -> Power:
     """Envelope of a path's main and side lobes in P at the grid's points from its own, 1 at the top."""
     x = np.arange(grid) / grid
-    lobes: Power = (1 / np.maximum((size * np.sin(np.pi * x)) ** 2, 1)).astype(np.float32)
-    return lobes
+    lobes = 1 / np.maximum((lattice.span * np.sin(np.pi * x)) ** 2, 1)
+    if not lattice.dense:  # gaps lift some of them: the largest within a step either way
+        row = lattice.spread_out(np.ones(lattice.size), 0)
+        pattern = np.abs(np.fft.fft(row, LOBE_FINENESS * grid) / lattice.size) ** 2
+        near = np.roll(pattern, LOBE_FINENESS).reshape(-1)
+        width = 2 * LOBE_FINENESS + 1
+        windows = np.lib.stride_tricks.sliding_window_view(np.r_[near, near[:width]], width)
+        lobes = np.maximum(lobes, windows[::LOBE_FINENESS][:grid].max(axis=1))
+    return np.asarray(lobes, np.float32)
 
 
 def _gamma_quantile(n: Floats, deviate: float) -> Floats:

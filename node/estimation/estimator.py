@@ -18,7 +18,7 @@ from chachart.node.estimation.fit import misfits
 from chachart.node.estimation.joint import JointLocator
 from chachart.node.estimation.locator import Columns, Locator
 from chachart.node.estimation.memory import Copy, Memory
-from chachart.node.estimation.options import JOINT, Keywords, Options
+from chachart.node.estimation.options import JOINT, NONE, Keywords, Options
 from chachart.node.estimation.separate import SeparateLocator
 from chachart.node.estimation.snapshots import SEEN, counted, joined
 from chachart.node.estimation.state import ROWS, Snapshot
@@ -73,6 +73,8 @@ class ChartEstimator:
         self.rejected = Counters()
         self._memory = Memory(self.options.max_ues, self._make_locator(self.options))
         self._correct = None if array.calibration is None else array.calibration.corrector()
+        live = array.live_antennas, array.live_tones
+        self._live = None if all(mask.all() for mask in live) else np.ix_(*map(np.flatnonzero, live))
 
     @property
     def method(self) -> Method:
@@ -151,8 +153,7 @@ class ChartEstimator:
             self.rejected.add("shape", len(block))
             return self._nothing()
         with np.errstate(all="ignore"):
-            if self._correct is not None:
-                block = dataclasses.replace(block, csi=self._correct(block.csi))
+            block = self._prepared(block)
             features = self._memory.locator.features(block.csi)
             energy = features.energy
         good = (energy > LEAST_ENERGY) & (energy < MOST_ENERGY)
@@ -166,6 +167,13 @@ class ChartEstimator:
         with np.errstate(divide="ignore", invalid="ignore"):  # NaN is for those without an estimate
             located = self._memory.locator.estimate(group, features, position)
         return self._published(block, group, located, position)
+
+    def _prepared(self, block: CsiBlock) -> CsiBlock:
+        """Frames as they would be from a perfect array, without what does not count."""
+        csi = block.csi if self._correct is None else self._correct(block.csi)
+        if self._live is not None:
+            csi = np.ascontiguousarray(csi[:, self._live[0], self._live[1]])
+        return block if csi is block.csi else dataclasses.replace(block, csi=csi)
 
     def forget(self, now_ns: int) -> NDArray[np.uint64]:
         """Drop the UEs unseen for `forget_after_s` at `now_ns`; returns them."""
@@ -278,7 +286,7 @@ class ChartEstimator:
     ) -> ChartUpdate:
         for name, kept in self._memory.latest.items():
             kept.rows[group.slots] = at[name]
-        x, y = self.array.chart_xy(at["theta"], at["rho"])
+        x, y = self._chart_xy(at["theta"], at["rho"])
         update = ChartUpdate(
             block.array,
             self.method,
@@ -298,6 +306,12 @@ class ChartEstimator:
         if untrained := int((found & ~good).sum()):
             self.rejected.add("untrained", untrained)
         return update.take(good)
+
+    def _chart_xy(self, theta: NDArray[Any], rho: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Chart coordinates; directions alone lie on the unit circle, whatever the array's height."""
+        if self.options.rho == NONE:
+            return np.sin(theta), np.cos(theta)
+        return self.array.chart_xy(theta, rho)
 
     def _nothing(self) -> ChartUpdate:
         needed = {column.name: column.missing(0) for column in COLUMNS.values() if not column.optional}

@@ -1,8 +1,8 @@
 """Steering vectors and the search over them: a grid as one real matrix product, then Newton steps.
 
-Uniform manifolds have a_n(u) = exp(j n u), so that aᴴQa is the trigonometric polynomial Re sum_k c_k exp(j k
-u) of Q's lag sums and has exact derivatives. The angle manifold's snapshots are the subcarriers, the delay
-manifold's the antennas.
+On a lattice of places p_n, a_n(u) = exp(j p_n u), so that aᴴQa is the trigonometric polynomial Re sum_k c_k
+exp(j k u) of Q's lag sums and has exact derivatives. The angle manifold's snapshots are the subcarriers, the
+delay manifold's the antennas.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.estimation.lattice import SPARSE, Lattice, Whole
 
 Complex = NDArray[np.complexfloating[Any, Any]]
 Floats = NDArray[np.float64]
@@ -25,30 +25,38 @@ GRID_PER_ELEMENT = 4
 """Grid points per resolution cell 2 pi / N where no step is set: the peak lies within 1/8 of a cell of one of
 them, where the main lobe has lost 5 %, well inside the region that Newton steps converge from."""
 
+MOST_FINER = 16
+"""How many times finer the grid may get where side lobes are nearly as high as the main one."""
+
 CONVERGED = 1e-4
 """In resolution cells: after a step as small, Newton's error is of the order of its square."""
 
 
 @dataclass(frozen=True, slots=True)
 class UniformManifold(ABC):
-    """a_n(u) = exp(j n u), n = 0 ... size - 1, for u in [low, high].
+    """a_n(u) = exp(j p_n u) for u in [low, high].
 
     Attributes
     ----------
-    size
-        N, elements of the steering vector.
+    lattice
+        p_n, n = 0 ... N - 1.
     low, high
         Range of u that is searched.
     """
 
-    size: int
+    lattice: Lattice
     low: float
     high: float
+
+    @property
+    def size(self) -> int:
+        """N, elements of the steering vector."""
+        return self.lattice.size
 
     def steering(self, u: Any) -> NDArray[np.complex128]:
         """Steering vectors (..., N) at u (...)."""
         u = np.asarray(u, np.float64)
-        return powers(u.reshape(-1), self.size).T.reshape(*u.shape, self.size)
+        return phasors(u.reshape(-1), self.lattice.index).T.reshape(*u.shape, self.size)
 
     @abstractmethod
     def coordinate(self, u: Floats) -> Floats:
@@ -79,7 +87,7 @@ class UniformManifold(ABC):
 
 @dataclass(frozen=True, slots=True)
 class AngleManifold(UniformManifold):
-    """u = phase cos(theta).
+    """u = phase cos(theta), phase being that of one step of the lattice.
 
     Beyond half a wavelength of element spacing only the unambiguous |u| <= pi is searched.
     """
@@ -88,11 +96,11 @@ class AngleManifold(UniformManifold):
 
     @classmethod
     def of(cls, array: ArrayGeometry) -> AngleManifold:
-        """The array's elements, at the middle of its band."""
-        middle = array.carrier_hz + (array.subcarriers - 1) / 2 * array.subcarrier_spacing_hz
-        phase = array.theta_phase * middle / array.carrier_hz
+        """The array's elements that count, at the middle of its band."""
+        lattice, step = Lattice.of_antennas(array)
+        phase = step * array.theta_phase * array.middle_hz / array.carrier_hz
         edge = min(phase, math.pi)
-        return cls(size=array.antennas, low=-edge, high=edge, phase=phase)
+        return cls(lattice, low=-edge, high=edge, phase=phase)
 
     def coordinate(self, u: Floats) -> Floats:
         """theta in rad."""
@@ -111,15 +119,17 @@ class AngleManifold(UniformManifold):
 
 @dataclass(frozen=True, slots=True)
 class DelayManifold(UniformManifold):
-    """u = phase rho, phase = -2 pi spacing / c."""
+    """u = phase rho, phase = -2 pi spacing / c times the step of the lattice of tones."""
 
     phase: float
 
     @classmethod
     def of(cls, array: ArrayGeometry, rho_max_m: float) -> DelayManifold:
-        """The array's subcarriers, from range 0 to `rho_max_m` or to what is unambiguous."""
+        """The array's tones that count, from range 0 to `rho_max_m` or to what is unambiguous."""
+        lattice, step = Lattice.of_tones(array)
+        phase = step * array.rho_phase
         far = min(rho_max_m, array.unambiguous_rho_m)
-        return cls(size=array.subcarriers, low=array.rho_phase * far, high=0.0, phase=array.rho_phase)
+        return cls(lattice, low=phase * far, high=0.0, phase=phase)
 
     def coordinate(self, u: Floats) -> Floats:
         """rho in m."""
@@ -153,13 +163,15 @@ class Search:
         low, high = manifold.low, manifold.high
         self._full_circle = high - low > 2 * math.pi * (1 - 1e-9)
         if step is None:
-            cell = 2 * math.pi / manifold.size / GRID_PER_ELEMENT
+            cell = 2 * math.pi / manifold.lattice.span / GRID_PER_ELEMENT
+            cell = max(min(cell, _safe_step(manifold.lattice)), cell / MOST_FINER)
             self.grid = np.linspace(low, high, max(math.ceil((high - low) / cell), 4) + 1)
         else:
             self.grid = np.sort(manifold.u(manifold.multiples(step)))
         if self._full_circle and self.grid[-1] - self.grid[0] > 2 * math.pi * (1 - 1e-9):
             self.grid = self.grid[:-1]
-        self.converged = CONVERGED * 2 * math.pi / manifold.size
+        self.converged = CONVERGED * 2 * math.pi / manifold.lattice.span
+        self._lags = manifold.lattice.lags
         self._before, self._after = (
             np.roll(np.arange(len(self.grid)), 1),
             np.roll(np.arange(len(self.grid)), -1),
@@ -174,15 +186,15 @@ class Search:
         self._tables: dict[np.dtype[Any], NDArray[Any]] = {}
 
     def spectrum(self, c: Complex) -> NDArray[Any]:
-        """aᴴQa (K, G) on the grid, of lag polynomials (K, N): one real matrix product."""
+        """aᴴQa (K, G) on the grid, of lag polynomials (K, L): one real matrix product."""
         real = c.real.dtype
         if real not in self._tables:
-            self._tables[real] = polynomial_table(self.grid, self.manifold.size).astype(real)
+            self._tables[real] = polynomial_table(self.grid, self._lags).astype(real)
         values: NDArray[Any] = c.view(real) @ self._tables[real]
         return values
 
     def extremum(self, c: Complex, *, maximum: bool) -> tuple[Floats, Floats]:
-        """u (K,) where the polynomials (K, N) are largest or least, and their values there (K,).
+        """u (K,) where the polynomials (K, L) are largest or least, and their values there (K,).
 
         From the grid's best point to the vertex of the parabola through it and its neighbours, then by
         Newton steps. These stay between the neighbours; one that would leave, or that a curvature of the
@@ -204,18 +216,18 @@ class Search:
         if maximum:
             np.negative(exact, out=exact)
         with np.errstate(divide="ignore", invalid="ignore"):
-            u, value = _descend(exact, u, low, high, self.newton_steps, self.converged)
+            u, value = _descend(exact, self._lags, u, low, high, self.newton_steps, self.converged)
         if self._full_circle:
             u = self.manifold.low + np.mod(u - self.manifold.low, 2 * math.pi)
         return u, -value if maximum else value
 
 
 def _descend(
-    c: NDArray[np.complex128], u: Floats, low: Floats, high: Floats, steps: int, converged: float
+    c: NDArray[np.complex128], lags: Whole, u: Floats, low: Floats, high: Floats, steps: int, converged: float
 ) -> tuple[Floats, Floats]:
-    """Newton steps from u (K,) to a minimum of c (N, K) within [low, high], and the value there."""
+    """Newton steps from u (K,) to a minimum of c (L, K) within [low, high], and the value there."""
     for _ in range(steps):
-        value, slope, curvature = derivatives(c, u)
+        value, slope, curvature = derivatives(c, u, lags)
         target = u - slope / curvature
         sound = (curvature > 0) & (target >= low) & (target <= high)
         if not sound.all():
@@ -229,6 +241,14 @@ def _descend(
     return u, value + step * (slope + 0.5 * step * curvature)
 
 
+def _safe_step(lattice: Lattice) -> float:
+    """Grid step at which the main lobe loses, half a step off, half of what the highest side lobe lacks.
+
+    The main lobe's power falls by u^2 times the variance of the places.
+    """
+    return 2 * math.sqrt((1 - lattice.side_lobe) / 2 * lattice.size / lattice.moment)
+
+
 def _vertex(left: Floats, right: Floats, fall_left: Floats, fall_right: Floats) -> Floats:
     """Where the parabola through (-left, fall_left), (0, 0) and (right, fall_right) turns."""
     a, b = fall_left * right, fall_right * left
@@ -236,19 +256,29 @@ def _vertex(left: Floats, right: Floats, fall_left: Floats, fall_right: Floats) 
     return np.where(bend == 0, 0.0, 0.5 * (a * right - b * left) / np.where(bend == 0, 1.0, bend))
 
 
-def derivatives(c: NDArray[np.complex128], u: Floats) -> tuple[Floats, Floats, Floats]:
-    """Value, slope and curvature (K,) at u (K,) of lag polynomials c (N, K), lags first."""
-    terms = powers(u, len(c))
+def derivatives(c: NDArray[np.complex128], u: Floats, lags: Whole) -> tuple[Floats, Floats, Floats]:
+    """Value, slope and curvature (K,) at u (K,) of lag polynomials c (L, K), lags first."""
+    terms = phasors(u, lags)
     terms *= c
-    sums: Floats = (_derivative_weights(len(c)) @ terms.view(np.float64)).reshape(3, -1, 2)
+    sums: Floats = (derivative_weights(lags) @ terms.view(np.float64)).reshape(3, -1, 2)
     return sums[0, :, 0], sums[1, :, 1], sums[2, :, 0]
 
 
-@lru_cache(maxsize=16)
-def _derivative_weights(n: int) -> Floats:
+def derivative_weights(lags: Whole) -> Floats:
     """Of c_k exp(j k u): real part 1 for the value, imaginary part -k, real part -k^2 for the derivatives."""
-    k = np.arange(n, dtype=np.float64)
-    return np.stack([np.ones(n), -k, -k * k])
+    k = lags.astype(np.float64)
+    return np.stack([np.ones_like(k), -k, -k * k])
+
+
+def phasors(u: Floats, numbers: Whole) -> NDArray[np.complex128]:
+    """exp(j k u) for ascending whole k >= 0, (N, K)."""
+    n = int(numbers[-1]) + 1
+    if n == len(numbers):
+        return powers(u, n)
+    if n <= SPARSE * len(numbers):
+        return powers(u, n)[numbers]
+    out: NDArray[np.complex128] = np.exp(1j * numbers[:, None] * u)
+    return out
 
 
 def powers(u: Floats, n: int) -> NDArray[np.complex128]:
@@ -263,8 +293,8 @@ def powers(u: Floats, n: int) -> NDArray[np.complex128]:
     return out
 
 
-def polynomial_table(u: Floats, size: int) -> Floats:
-    """(2 N, G) so that interleaved (Re c, Im c) @ table = Re sum_k c_k exp(j k u)."""
-    angles = np.arange(size)[:, None] * u
-    table: Floats = np.stack([np.cos(angles), -np.sin(angles)], axis=1).reshape(2 * size, len(u))
+def polynomial_table(u: Floats, lags: Whole) -> Floats:
+    """(2 L, G) so that interleaved (Re c, Im c) @ table = Re sum_k c_k exp(j k u)."""
+    angles = lags[:, None] * u
+    table: Floats = np.stack([np.cos(angles), -np.sin(angles)], axis=1).reshape(2 * len(lags), len(u))
     return table

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from chachart.node.estimation.lattice import Lattice
 from chachart.node.estimation.manifold import polynomial_table
 
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -26,17 +27,20 @@ class NoiseFloor:
 
     Parameters
     ----------
-    size
-        N, the number of elements.
+    lattice
+        Of the N elements.
     """
 
-    def __init__(self, size: int) -> None:
-        taper = np.hanning(size + 2)[1:-1]
-        kernel = np.correlate(taper, taper, "full")[size - 1 :] / np.vdot(taper, taper)
-        window = kernel * size / (size - np.arange(size))
-        self._table = polynomial_table(2 * np.pi * np.arange(size) / size, size) * window.repeat(2)[:, None]
-        both_sides = np.r_[1.0, np.full(size - 1, 2.0)]
-        self._spread = math.sqrt(float(np.sum(both_sides * kernel * window)) / size)
+    def __init__(self, lattice: Lattice) -> None:
+        span, lags = lattice.span, lattice.lags
+        taper = np.hanning(span + 2)[1:-1]
+        full = np.correlate(taper, taper, "full")[span - 1 :] / np.vdot(taper, taper)
+        kernel = np.where(lattice.pairs > 0, full[lags], 0)
+        window = kernel * lattice.size / np.maximum(lattice.pairs, 1)
+        beams = 2 * np.pi * np.arange(span) / span
+        self._table = polynomial_table(beams, lags) * window.repeat(2)[:, None]
+        both_sides = np.r_[1.0, np.full(len(lags) - 1, 2.0)]
+        self._spread = math.sqrt(float(np.sum(both_sides * kernel * window)) / lattice.size)
 
     def power(self, lags: Complex, snapshots: Floats) -> Floats:
         """Noise power per element (U,).
@@ -44,7 +48,7 @@ class NoiseFloor:
         Parameters
         ----------
         lags
-            (U, N) lag polynomials of covariances per element, lags[:, 0] being the mean power.
+            (U, L) lag polynomials of covariances per element, lags[:, 0] being the mean power.
         snapshots
             (U,) number behind each.
         """

@@ -13,11 +13,13 @@ from chachart.node.data.settings import Settings
 SPECTRAL: Final[tuple[SpectralMethod, ...]] = ("bartlett", "mvdr", "minnorm", "music")
 AMPLITUDE: Final[tuple[AmplitudeMethod, ...]] = ("isq", "lr")
 JOINT: Final = "joint"
+NONE: Final = "none"
 
 Averaging = Literal["mean", "exponential"]
 SignalOrder = Annotated[int, Field(ge=1)] | Literal["threshold", "mdl"]
 Amplitude = Literal["debiased", "coherent", "noisy"]
 Phase = Literal["auto", "steady", "random"]
+Delay = Literal["absolute", "relative"]
 Positive = Annotated[float, Field(gt=0)]
 
 
@@ -25,9 +27,10 @@ class Options(Settings):
     """`[estimator]`: how theta and rho are estimated. The fields are ChartEstimator's keywords."""
 
     theta: ThetaMethod = "bartlett"
-    """Angle method. `joint` goes with rho = "joint" only."""
+    """Angle method. `joint` goes with rho = "joint" only; `none` charts distances alone, along broadside."""
     rho: RhoMethod = "bartlett"
-    """Distance method: a spectral one across subcarriers, an amplitude one (isq, lr), or joint."""
+    """Distance method: a spectral one across subcarriers, an amplitude one (isq, lr), or joint; `none` charts
+    directions alone, on a circle of radius 1."""
     averaging: Averaging = "exponential"
     """`mean` weighs all frames alike (UEs that stand still); `exponential` forgets (UEs that move)."""
     memory_frames: float = Field(32.0, ge=1)
@@ -58,6 +61,8 @@ class Options(Settings):
     """(distance in m, sum of amplitudes there) puts ISQ to scale; else known positions do, else nothing."""
     phase: Phase = "auto"
     """Of a UE's channel from frame to frame, for `joint`: `steady` averages frames, `random` their powers."""
+    delay: Delay = "absolute"
+    """`relative`: a frame's delay is its detection's, not the distance's, as in captures of Wi-Fi tools."""
     forget_after_s: float | None = Field(None, gt=0)
     """UEs unseen for so long leave the chart; not set: never."""
     max_ues: int = Field(100_000, ge=1)
@@ -103,6 +108,8 @@ class Options(Settings):
         if (self.theta == JOINT) != (self.rho == JOINT):
             name, other = ("rho", "theta") if self.theta == JOINT else ("theta", "rho")
             self._refuse(name, f'must be "joint" as {other} is: the joint method estimates both at once')
+        if self.theta == self.rho == NONE:
+            self._refuse("rho", 'must not be "none" as theta is: nothing would be left to chart')
         if self.rho_step_m is not None and self.rho_step_m > self.rho_max_m:
             self._refuse("rho_step_m", f"must be at most rho_max_m = {self.rho_max_m:g}")
         return self
@@ -133,5 +140,6 @@ class Keywords(TypedDict, total=False):
     lr_log_range: bool
     isq_reference: tuple[float, float] | None
     phase: Phase
+    delay: Delay
     forget_after_s: float | None
     max_ues: int

@@ -5,7 +5,8 @@ The spectrum of a frame H is its two-dimensional periodogram without a window,
     P(u, v) = |sum_mn H_mn exp(-j u m + j v n)|^2,
 
 sampled on a grid of (at least) twice the array's size. Being a trigonometric polynomial of degrees below N_R
-and N_S, it is thereby known exactly between the grid's points too (`Periodogram.derivatives`).
+and N_S, it is thereby known exactly between the grid's points too (`Periodogram.derivatives`). Where elements
+or tones leave gaps, zeros take their places, and N_R and N_S are what they span.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from chachart.node.estimation.covariance import Bank, Grouping, Weights
+from chachart.node.estimation.lattice import Lattice
 from chachart.node.estimation.state import Slots, SlotState
 
 Csi = NDArray[np.complex64]
@@ -33,26 +35,33 @@ class Periodogram:
 
     Parameters
     ----------
-    antennas, subcarriers
-        N_R and N_S.
+    antennas, tones
+        Where the elements are, and the tones.
 
     Attributes
     ----------
+    shape
+        (N_R, N_S) of the frames.
+    span
+        Places on both axes.
     grid
         (A, D): points on the circle of u and on that of v, 2 pi i / A and 2 pi j / D.
     chunk
         How many spectra are best worked on at a time.
     """
 
-    def __init__(self, antennas: int, subcarriers: int) -> None:
-        self.shape = antennas, subcarriers
-        self.grid = fft.next_fast_len(2 * antennas), fft.next_fast_len(2 * subcarriers)
+    def __init__(self, antennas: Lattice, tones: Lattice) -> None:
+        self._antennas, self._tones = antennas, tones
+        self.shape = antennas.size, tones.size
+        self.span = antennas.span, tones.span
+        self.grid = fft.next_fast_len(2 * antennas.span), fft.next_fast_len(2 * tones.span)
         self.chunk = max(_CHUNK_BYTES // (4 * self.grid[0] * self.grid[1]), 1)
-        self._interpolators = [Interpolator(n, g) for n, g in zip(self.shape, self.grid, strict=True)]
+        self._interpolators = [Interpolator(n, g) for n, g in zip(self.span, self.grid, strict=True)]
 
     def of(self, csi: Csi) -> Power:
         """P (K, A, D) of frames (K, N_R, N_S)."""
-        delays = fft.ifft(csi, self.grid[1], axis=2, norm="forward")
+        placed = self._tones.spread_out(csi, 2)
+        delays = self._antennas.spread_out(fft.ifft(placed, self.grid[1], axis=2, norm="forward"), 1)
         power: Power = np.absolute(fft.fft(delays, self.grid[0], axis=1, overwrite_x=True), dtype=np.float32)
         power *= power
         return power

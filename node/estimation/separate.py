@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,30 +11,41 @@ from numpy.typing import NDArray
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.amplitude import AmplitudeSum, ranging
 from chachart.node.estimation.axis import SpectralAxis
-from chachart.node.estimation.covariance import Grouping, Weights
+from chachart.node.estimation.covariance import Bank, Grouping, Weights
 from chachart.node.estimation.locator import Columns, Features, Locator
 from chachart.node.estimation.manifold import AngleManifold, DelayManifold
 from chachart.node.estimation.noise import NoiseFloor
-from chachart.node.estimation.options import AMPLITUDE, Options
+from chachart.node.estimation.options import AMPLITUDE, NONE, Options
+from chachart.node.estimation.periodogram import energy
 
 Floats = NDArray[np.float64]
 
+NO_THETA: Final = (math.pi / 2, math.pi / math.sqrt(12))
+"""theta and its deviation where there is no angle: the mean of all there are, and their spread."""
+NO_RHO: Final = (1.0, math.nan)
+"""rho and its deviation where there is no distance: charts of directions are circles of radius 1."""
+
 
 class SeparateLocator(Locator):
-    """Angle from the covariance over antennas, range from that over subcarriers or from the amplitude."""
+    """Angle from the covariance over antennas, range from that over subcarriers or from the amplitude.
+
+    Either may be "none"; what is left then tells signal from noise. Power alone, of one antenna and one
+    tone, has no noise to be told from.
+    """
 
     def __init__(self, array: ArrayGeometry, options: Options) -> None:
         step = None if options.theta_step_deg is None else np.radians(options.theta_step_deg)
-        self._theta = SpectralAxis(
-            "theta", options.theta, AngleManifold.of(array), step, array.subcarriers, options
-        )
+        angle, delay = AngleManifold.of(array), DelayManifold.of(array, options.rho_max_m)
         self._array, self._weights = array, Weights(options.decay)
-        self._rho: SpectralAxis | None = None
-        super().__init__(weights=self._weights, theta=self._theta)
-        self._takers: dict[str, SpectralAxis | AmplitudeSum] = {"theta": self._theta}
+        self._elements = angle.size * delay.size
+        self._theta = self._rho = self._level = None
+        super().__init__(weights=self._weights)
+        self._takers: dict[str, SpectralAxis | AmplitudeSum] = {}
+        if options.theta != NONE:
+            self._theta = SpectralAxis("theta", options.theta, angle, step, delay.size, options)
+            self._takers["theta"] = self._level = self._theta
         if options.rho in AMPLITUDE:
-            self._floor = NoiseFloor(array.antennas)
-            self._amplitude = AmplitudeSum(options.amplitude, array.antennas, options.decay)
+            self._amplitude = AmplitudeSum(options.amplitude, array.antennas, angle.size, options.decay)
             self._ranging = ranging(
                 options.rho,
                 reference=options.isq_reference,
@@ -42,53 +54,80 @@ class SeparateLocator(Locator):
             )
             self._takers["amplitude"] = self._amplitude
             self.children["ranging"] = self._ranging
-        else:
-            manifold = DelayManifold.of(array, options.rho_max_m)
-            self._rho = SpectralAxis(
-                "rho", options.rho, manifold, options.rho_step_m, array.antennas, options
-            )
+            if self._level is None and delay.size > 1:
+                self._level = SpectralAxis("level", "bartlett", delay, None, angle.size, options)
+                self._takers["level"] = self._level
+            if self._level is None:
+                self._power = self.children["power"] = Bank((), np.float64, options.decay)
+            else:
+                self._floor = NoiseFloor(self._level.manifold.lattice)
+        elif options.rho != NONE:
+            self._rho = SpectralAxis("rho", options.rho, delay, options.rho_step_m, angle.size, options)
             self._takers["rho"] = self._rho
+            self._level = self._level or self._rho
+        self._amplitudes = options.rho in AMPLITUDE
         self.children |= self._takers
 
     def features(self, csi: NDArray[np.complex64]) -> Features:
-        """Of both axes, or of the angle axis and the amplitude."""
+        """Of each axis there is, and the amplitude."""
         conjugate = csi.conj()
-        theta = self._theta.of_frames(csi, conjugate)
-        energy = theta[:, 0].real if theta.ndim == 2 else np.einsum("kii->k", theta).real
-        if self._rho is None:
-            return Features(energy, {"theta": theta, "amplitude": self._amplitude.of_frames(csi)})
-        rho = self._rho.of_frames(csi.swapaxes(1, 2), conjugate.swapaxes(1, 2))
-        return Features(energy, {"theta": theta, "rho": rho})
+        kept: dict[str, NDArray[Any]] = {}
+        if self._theta is not None:
+            kept["theta"] = self._theta.of_frames(csi, conjugate)
+        for axis in (self._rho, self._level):
+            if axis is not None and axis is not self._theta and axis.name not in kept:
+                kept[axis.name] = axis.of_frames(csi.swapaxes(1, 2), conjugate.swapaxes(1, 2))
+        if self._amplitudes:
+            kept["amplitude"] = self._amplitude.of_frames(csi)
+        if self._level is None:
+            return Features(energy(csi.reshape(len(csi), -1)), kept)
+        level = kept[self._level.name]
+        return Features(level[:, 0].real if level.ndim == 2 else np.einsum("kii->k", level).real, kept)
 
     def estimate(self, group: Grouping, features: Features, position: NDArray[np.float32]) -> Columns:
         """Take a block's frames and locate its UEs; rho is NaN before LR has its training."""
         # all is taken before anything is worked out, so that no error leaves a frame half added
         weight, frames = self._weights.add(group)
-        sums = {name: self._takers[name].take(group, kept) for name, kept in features.kept.items()}
-        at = self._theta.estimate(group, sums["theta"], weight, frames)
-        at["snr"] = 10 * np.log10(at["power"] / at["noise"])
+        sums = {name: taker.take(group, features.kept[name]) for name, taker in self._takers.items()}
+        if self._amplitudes and self._level is None:
+            sums["power"] = self._power.add(group, np.asarray(features.energy, np.float64))
+        count = len(group)
+        at: Columns = {}
+        for axis in (self._rho, self._level, self._theta):
+            if axis is not None and axis.name not in at:
+                at |= axis.estimate(group, sums[axis.name], weight, frames)
         at["snapshots"] = frames
-        if self._rho is not None:
-            return self._rho.estimate(group, sums["rho"], weight, frames) | at
-        s = self._amplitude.estimate(sums["amplitude"], weight, self._signal(group, weight, frames))
-        known_rho = self._array.theta_rho(position)[1]
-        at["rho"], at["rho_std"] = self._ranging.ranges(group.slots, s, known_rho)
+        at["snr"] = 10 * np.log10(at["power"] / at["noise"]) if self._level else np.full(count, np.nan)
+        if self._theta is None:
+            at["theta"], at["theta_std"] = (np.full(count, value) for value in NO_THETA)
+        if self._amplitudes:
+            if self._level is None:
+                power = np.asarray(sums["power"] / (weight * self._elements), np.float64)
+            else:
+                power = self._signal(self._level, group, weight, frames)
+            s = self._amplitude.estimate(sums["amplitude"], weight, power)
+            known_rho = self._array.theta_rho(position)[1]
+            at["rho"], at["rho_std"] = self._ranging.ranges(group.slots, s, known_rho)
+        elif self._rho is None:
+            at["rho"], at["rho_std"] = (np.full(count, value) for value in NO_RHO)
         return at
 
-    def _signal(self, group: Grouping, weight: Floats, frames: Floats) -> Floats:
+    def _signal(self, level: SpectralAxis, group: Grouping, weight: Floats, frames: Floats) -> Floats:
         """Power per element of all paths together, at least what could not be told from none."""
-        lags = self._theta.mean_lags(group.slots, weight)
-        snapshots = frames * self._array.subcarriers
+        lags = level.mean_lags(group.slots, weight)
+        snapshots = frames * level.snapshots
         noise = self._floor.power(lags, snapshots)
-        return np.maximum(lags[:, 0].real - noise, noise / np.sqrt(self._array.antennas * snapshots))
+        return np.maximum(lags[:, 0].real - noise, noise / np.sqrt(level.manifold.size * snapshots))
 
     def spectrum(self, slot: int, points: int) -> dict[str, Any] | None:
-        """theta_grid_rad and theta_spectrum, and the same of rho where a spectral method gives it."""
+        """theta_grid_rad and theta_spectrum, and the same of rho, where a spectral method gives them."""
         _, frames = self._weights.of(np.array([slot]))
         if frames[0] == 0:
             return None
-        grid, values = self._theta.spectrum(slot, float(frames[0]), points)
-        result: dict[str, Any] = {"theta_grid_rad": grid, "theta_spectrum": values}
+        result: dict[str, Any] = {}
+        if self._theta is not None:
+            grid, values = self._theta.spectrum(slot, float(frames[0]), points)
+            result |= {"theta_grid_rad": grid, "theta_spectrum": values}
         if self._rho is not None:
             grid, values = self._rho.spectrum(slot, float(frames[0]), points)
             result |= {"rho_grid_m": grid, "rho_spectrum": values}

@@ -209,7 +209,7 @@ def test_spectrum_peaks_at_the_estimate(los: Build, method: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "options", "message"),
     [
-        ({"subcarriers": 1}, {"rho": "music"}, r'^rho must be "isq" or "lr": with 1 subcarrier'),
+        ({"subcarriers": 1}, {"rho": "music"}, r'^rho must be "isq", "lr" or "none": with 1 subcarrier'),
         ({"subcarriers": 1024}, {"rho": "mvdr"}, r'^rho must be "bartlett": mvdr keeps 1024 x 1024'),
         ({}, {"theta": "music", "signal_order": 32}, "^signal_order must be below 32"),
     ],

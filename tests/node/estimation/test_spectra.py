@@ -8,6 +8,7 @@ import pytest
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation import order, spectra
 from chachart.node.estimation.covariance import LagSums, forward_backward
+from chachart.node.estimation.lattice import Lattice
 from chachart.node.estimation.manifold import (
     AngleManifold,
     DelayManifold,
@@ -21,7 +22,7 @@ from chachart.node.estimation.subspace import SubspaceTracker, dominant
 
 
 def lags(factor: np.ndarray) -> np.ndarray:
-    return LagSums(factor.shape[1]).of_products(factor, factor.conj())
+    return LagSums(Lattice.even(factor.shape[1])).of_products(factor, factor.conj())
 
 
 def music(r: np.ndarray, sources: int) -> np.ndarray:
@@ -105,15 +106,15 @@ def test_inverse_cholesky(size: int, dtype: type) -> None:
 def test_lag_sums_give_the_quadratic_form(size: int, columns: int) -> None:
     rng = np.random.default_rng(size)
     x = rng.standard_normal((3, size, columns)) + 1j * rng.standard_normal((3, size, columns))
-    manifold = AngleManifold(size, -np.pi, np.pi, np.pi)
+    manifold = AngleManifold(Lattice.even(size), -np.pi, np.pi, np.pi)
     u = rng.uniform(-np.pi, np.pi, 3)
     a = manifold.steering(u)
     q = x @ x.conj().swapaxes(1, 2)
     expected = np.einsum("kn,knm,km->k", a.conj(), q, a).real
     c = lags(x)
-    assert derivatives(np.ascontiguousarray(c.T), u)[0] == pytest.approx(expected, rel=1e-10)
-    assert LagSums(size).of(q) == pytest.approx(c, rel=1e-9, abs=1e-9)
-    table = polynomial_table(u, size)
+    assert derivatives(np.ascontiguousarray(c.T), u, np.arange(size))[0] == pytest.approx(expected, rel=1e-10)
+    assert LagSums(Lattice.even(size)).of(q) == pytest.approx(c, rel=1e-9, abs=1e-9)
+    table = polynomial_table(u, np.arange(size))
     assert np.diag(c.view(float) @ table) == pytest.approx(expected, rel=1e-10)
 
 
@@ -121,8 +122,8 @@ def test_derivatives_against_differences() -> None:
     rng = np.random.default_rng(2)
     c = rng.standard_normal((20, 6)) + 1j * rng.standard_normal((20, 6))
     u, h = rng.uniform(-3, 3, 6), 1e-5
-    _, slope, curvature = derivatives(c, u)
-    after, before = derivatives(c, u + h), derivatives(c, u - h)
+    _, slope, curvature = derivatives(c, u, np.arange(len(c)))
+    after, before = derivatives(c, u + h, np.arange(len(c))), derivatives(c, u - h, np.arange(len(c)))
     assert slope == pytest.approx((after[0] - before[0]) / (2 * h), rel=1e-5, abs=1e-5)
     assert curvature == pytest.approx((after[1] - before[1]) / (2 * h), rel=1e-5, abs=1e-4)
     assert powers(u, 20) == pytest.approx(np.exp(1j * np.outer(np.arange(20), u)), abs=1e-13)
@@ -161,7 +162,7 @@ def test_forward_backward_is_centro_hermitian() -> None:
     r = forward_backward(x @ x.conj().swapaxes(1, 2))
     assert r == pytest.approx(r[:, ::-1, ::-1].conj())
     assert r == pytest.approx(r.conj().swapaxes(1, 2))
-    assert lags(x) == pytest.approx(LagSums(6).of(r))
+    assert lags(x) == pytest.approx(LagSums(Lattice.even(6)).of(r))
 
 
 def sample(eigenvalues: list[float], snapshots: int, count: int) -> np.ndarray:
