@@ -100,12 +100,13 @@ class Lattice:
         """(L,) how many pairs of elements have each lag; an element counts as a pair with itself."""
         first, second = np.triu_indices(self.size)
         lag = np.searchsorted(self.lags, self.index[second] - self.index[first])
-        return np.asarray(np.bincount(lag, minlength=len(self.lags)), np.float64)
+        count: Whole = np.bincount(lag, minlength=len(self.lags))
+        return count.astype(np.float64)
 
     @cached_property
     def centred(self) -> Floats:
         """p_n less their mean."""
-        return self.index - self.index.mean()
+        return self.index - float(self.index.mean())
 
     @cached_property
     def moment(self) -> float:

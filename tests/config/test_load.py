@@ -79,7 +79,7 @@ def test_every_section(toml_file: Write) -> None:
             "[array]\nsubcarrier_spacing_hz = 312500\n[estimator]\nrho_max_m = 1000",
             "estimator.rho_max_m = 1000.0: must be at most 959.3",
         ),
-        ("[array]\nsubcarriers = 1", 'estimator.rho = "bartlett": must be "isq" or "lr"'),
+        ("[array]\nsubcarriers = 1", 'estimator.rho = "bartlett": must be "isq", "lr" or "none"'),
         (
             '[array]\nantennas = 4\n[estimator]\ntheta = "music"\nsignal_order = 4',
             "estimator.signal_order = 4: must be below 4",
