@@ -106,7 +106,8 @@ class Lattice:
     @cached_property
     def centred(self) -> Floats:
         """p_n less their mean."""
-        return self.index - float(self.index.mean())
+        places = self.index.astype(np.float64)
+        return places - float(places.mean())
 
     @cached_property
     def moment(self) -> float:
