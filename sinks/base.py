@@ -71,6 +71,19 @@ class NodeAccess(Protocol):
             should the node take the request up later, `status` says so.
         """
 
+    def replay(
+        self, *, paused: bool | None = None, speed: float | None = None, at_s: float | None = None
+    ) -> dict[str, Any]:
+        """Pause, go on, change the speed or jump, where the source is a recording; how it plays now.
+
+        A jump begins the chart anew.
+
+        Raises
+        ------
+        RequestError
+            If the source is no recording, or there is no such time.
+        """
+
     def start_recording(self, path: Path) -> dict[str, Any]:
         """Record the CSI that comes in; {on, where, received, dropped, ...}.
 

@@ -4,7 +4,9 @@
     ues                             who is in the chart
     chart                           the whole chart, as columns
     spectrum   ue                   theta and rho spectra of one UE
+    recordings                      what is in the recording folder
     set_method theta, rho           estimate with these methods from now on
+    replay     paused, speed, at_s  pause, pace and wind a recording that is played; all of them optional
     start_recording  path           record the CSI that comes in to a file of that name
     stop_recording                  close that recording
 
@@ -27,6 +29,7 @@ from chachart.node.data.settings import Settings
 from chachart.node.net.security import Role
 from chachart.sinks.base import NodeAccess
 from chachart.sinks.plain import plain
+from chachart.sinks.recordings import Recordings
 
 _FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*\.mcap$"
 
@@ -54,6 +57,17 @@ class _SetMethod(Settings):
     rho: RhoMethod
 
 
+class _Recordings(Settings):
+    op: Literal["recordings"]
+
+
+class _Replay(Settings):
+    op: Literal["replay"]
+    paused: bool | None = None
+    speed: float | None = Field(None, ge=0, le=1000)
+    at_s: float | None = Field(None, ge=0)
+
+
 class _StartRecording(Settings):
     op: Literal["start_recording"]
     path: str = Field(max_length=128, pattern=_FILE_NAME)
@@ -75,12 +89,23 @@ class _Record(Settings):
         return self
 
 
-_Request = _Status | _Ues | _Chart | _Spectrum | _SetMethod | _StartRecording | _StopRecording | _Record
+_Request = (
+    _Status
+    | _Ues
+    | _Chart
+    | _Spectrum
+    | _Recordings
+    | _SetMethod
+    | _Replay
+    | _StartRecording
+    | _StopRecording
+    | _Record
+)
 _REQUESTS: TypeAdapter[_Request] = TypeAdapter(Annotated[_Request, Field(discriminator="op")])
 
-READING = ("status", "ues", "chart", "spectrum")
+READING = ("status", "ues", "chart", "spectrum", "recordings")
 """Operations that change nothing."""
-CHANGING = ("set_method", "start_recording", "stop_recording", "method", "record")
+CHANGING = ("set_method", "replay", "start_recording", "stop_recording", "method", "record")
 """Operations that change what the node does, under their newer and older names."""
 
 
@@ -98,6 +123,7 @@ class Operations:
     def __init__(self, node: NodeAccess, folder: Path) -> None:
         self._node = node
         self._folder = folder
+        self.recordings = Recordings(folder)
 
     def perform(self, request: Mapping[str, Any], role: Role = Role.STEERER) -> dict[str, Any]:
         """Carry out `{"op": ..., arguments ...}` and answer with plain values. May block for seconds.
@@ -127,8 +153,12 @@ class Operations:
                 return self._node.chart_columns()
             case _Spectrum():
                 return self._node.spectrum(asked.ue)
+            case _Recordings():
+                return self.recordings.list()
             case _SetMethod():
                 return self._node.set_method(asked.theta, asked.rho)
+            case _Replay():
+                return self._node.replay(paused=asked.paused, speed=asked.speed, at_s=asked.at_s)
             case _StartRecording(path=str(path)) | _Record(on=True, path=str(path)):
                 return self._record(path)
             case _:

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Self
 
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
+from chachart.node.data.errors import RequestError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.settings import Settings
 from chachart.node.net.security import SecuritySettings
@@ -104,6 +105,18 @@ class Source(ABC):
     def details(self) -> dict[str, Any]:
         """What a status display may show of this source beyond counts: plain msgpack values."""
         return {}
+
+    def replay(
+        self, *, paused: bool | None = None, speed: float | None = None, at_s: float | None = None
+    ) -> dict[str, Any]:
+        """Pause, go on, change the speed or jump, as far as given; how it plays now. From any thread.
+
+        Raises
+        ------
+        RequestError
+            If the source is no replay, or there is no such time.
+        """
+        raise RequestError(f"the source is {self.settings.type}: only a recording can be paused or wound")
 
     def __enter__(self) -> Self:
         self.open()

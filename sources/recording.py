@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Generator
 from dataclasses import replace
 from pathlib import Path
@@ -13,12 +12,14 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from chachart.node.data.csi import CsiBlock
-from chachart.node.data.errors import SetupError
+from chachart.node.data.errors import RequestError, SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.files.recording import RecordingReader
 from chachart.sources.base import EndOfSource, Source, SourceSettings
 from chachart.sources.checks import usable
+from chachart.sources.playback import Playback
 
+DENSITY_BINS = 200
 TICK_S = 0.002
 """At a given pace, frames come in blocks of at least so much time."""
 
@@ -38,6 +39,9 @@ class RecordingSettings(SourceSettings):
     loops: int = Field(1, ge=0)
     """How many times to play it; 0 plays it for ever. Times go on from one round to the next."""
 
+    at_end: Literal["end", "stay"] = "end"
+    """What comes after the last frame: the node ends, or it stays and can be told to go back."""
+
     @model_validator(mode="after")
     def _in_order(self) -> Self:
         if self.to_s is not None and self.to_s <= self.from_s:
@@ -56,10 +60,12 @@ class Recording(Source):
         super().__init__(settings, array)
         self._played = 0
         self._rounds = 0
+        self._reader: RecordingReader | None = None
         self._blocks: Generator[CsiBlock] | None = None
         self._waiting: CsiBlock | None = None
-        self._started: float | None = None
-        self._first_ns = self._latest_ns = 0
+        self._playback = Playback(self.settings.speed)
+        self._jump_s: float | None = None
+        self._first_ns = self._latest_ns = self._shift_ns = 0
 
     @classmethod
     def carried_array(cls, settings: RecordingSettings) -> ArrayGeometry | None:
@@ -71,7 +77,7 @@ class Recording(Source):
         """Whether the file can be read and has frames between `from_s` and `to_s`."""
         try:
             reader = RecordingReader(settings.path)
-            if next(reader.blocks(*_range(reader, settings)), None) is None:
+            if next(reader.blocks(*_range(reader, settings, settings.from_s)), None) is None:
                 return [_empty(settings)]
         except SetupError as error:
             return [str(error)]
@@ -89,7 +95,8 @@ class Recording(Source):
         if differences := reader.array.mismatches(self.array):
             raise SetupError(f"{self.settings.path} has another array: {'; '.join(differences)}")
         self.rejected = reader.damaged
-        self._blocks = self._play(reader)
+        self._reader = reader
+        self._blocks = self._play(reader, self.settings.from_s)
         self._waiting = next(self._blocks, None)
         if self._waiting is None:
             raise SetupError(_empty(self.settings))
@@ -97,9 +104,20 @@ class Recording(Source):
 
     def recv(self, timeout: float) -> CsiBlock | None:
         """The next block: all of it, or at a given pace the frames that are due."""
+        jump, self._jump_s = self._jump_s, None
+        if jump is not None:
+            self._jump_to(jump)
         if self._waiting is None or self._blocks is None:
-            raise EndOfSource
-        ready = len(self._waiting) if self.settings.speed == 0 else self._due(self._waiting, timeout)
+            if self.settings.at_end == "end" or self._reader is None:
+                raise EndOfSource
+            self._playback.wait(timeout)
+            return None
+        if self._playback.paused:
+            self._playback.wait(timeout)
+            return None
+        if not self._playback.started:
+            self._playback.start(self._first_ns)
+        ready = len(self._waiting) if self._playback.speed == 0 else self._due(self._waiting, timeout)
         if not ready:
             return None
         block = self._waiting.cut(0, ready)
@@ -123,14 +141,66 @@ class Recording(Source):
             "frames": self._played,
             "seconds": (self._latest_ns - self._first_ns) / 1e9,
             "rounds": self._rounds,
+            "replay": self._replay(),
         }
 
-    def _play(self, reader: RecordingReader) -> Generator[CsiBlock]:
-        """The blocks of every round, later rounds shifted in time so that they go on from the one before."""
-        shift_ns = 0
+    def replay(
+        self, *, paused: bool | None = None, speed: float | None = None, at_s: float | None = None
+    ) -> dict[str, Any]:
+        """See `Source.replay`; adds `density`, the frames in each of equal parts of the recording."""
+        if self._reader is None:
+            raise RequestError("the recording is closed")
+        length = self._length_s()
+        if at_s is not None and not 0 <= at_s <= length:
+            raise RequestError(f"at_s must be from 0 to {length:g}, the recording's length, not {at_s:g}")
+        if paused is False and self._waiting is None and at_s is None:
+            at_s = self.settings.from_s
+        if at_s is not None:
+            self._jump_s = at_s
+        self._playback.change(paused=paused, speed=speed)
+        return {**self._replay(), "density": self._reader.density(DENSITY_BINS)}
+
+    def _replay(self) -> dict[str, Any]:
+        """How it plays, for people."""
+        start_ns = self._reader.start_ns if self._reader is not None else None
+        at_s = (self._latest_ns - self._shift_ns - (start_ns or 0)) / 1e9
+        return {
+            "at_s": at_s if self._jump_s is None else self._jump_s,
+            "length_s": self._length_s(),
+            "start_ns": start_ns,
+            "paused": self._playback.paused,
+            "speed": self._playback.speed,
+            "ended": self._waiting is None and self._jump_s is None,
+        }
+
+    def _length_s(self) -> float:
+        reader = self._reader
+        if reader is None or reader.start_ns is None or reader.end_ns is None:
+            return 0.0
+        return (reader.end_ns - reader.start_ns) / 1e9
+
+    def _jump_to(self, at_s: float) -> None:
+        """Play on from there."""
+        assert self._reader is not None
+        if self._blocks is not None:
+            self._blocks.close()
+        self._shift_ns = 0
+        self._rounds = min(self._rounds, max(self.settings.loops - 1, 0))
+        self._blocks = self._play(self._reader, at_s)
+        self._waiting = next(self._blocks, None)
+        if self._waiting is not None:
+            self._latest_ns = int(self._waiting.time_ns.min())
+            self._playback.start(self._latest_ns)
+
+    def _play(self, reader: RecordingReader, from_s: float) -> Generator[CsiBlock]:
+        """The blocks of every round, later rounds shifted in time so that they go on from the one before.
+
+        The first round begins at `from_s`.
+        """
         while not self.settings.loops or self._rounds < self.settings.loops:
             first_ns, last_ns, frames = None, 0, 0
-            for block in reader.blocks(*_range(reader, self.settings)):
+            shift_ns = self._shift_ns
+            for block in reader.blocks(*_range(reader, self.settings, from_s)):
                 good = usable(block, self.rejected)
                 if good is None:
                     continue
@@ -141,29 +211,25 @@ class Recording(Source):
             if first_ns is None:
                 return
             self._rounds += 1
-            shift_ns += (last_ns - first_ns) + max((last_ns - first_ns) // frames, 1)
+            from_s = self.settings.from_s
+            self._shift_ns += (last_ns - first_ns) + max((last_ns - first_ns) // frames, 1)
 
     def _due(self, block: CsiBlock, timeout: float) -> int:
         """How many frames of `block` are due; waits up to `timeout` seconds for the first ones."""
         due: NDArray[np.int64] = np.maximum.accumulate(block.time_ns)
-        ready = int(np.searchsorted(due, self._media_ns(), "right"))
+        ready = int(np.searchsorted(due, self._playback.now_ns(), "right"))
         if not ready:
-            wait = (int(due[0]) - self._media_ns()) / self.settings.speed / 1e9
-            time.sleep(min(max(wait, TICK_S), timeout))
-            ready = int(np.searchsorted(due, self._media_ns(), "right"))
+            wait = (int(due[0]) - self._playback.now_ns()) / self._playback.speed / 1e9
+            self._playback.wait(min(max(wait, TICK_S), timeout))
+            ready = int(np.searchsorted(due, self._playback.now_ns(), "right"))
         return ready
 
-    def _media_ns(self) -> int:
-        """The recording's time now."""
-        now = time.monotonic()
-        if self._started is None:
-            self._started = now
-        return self._first_ns + int((now - self._started) * self.settings.speed * 1e9)
 
-
-def _range(reader: RecordingReader, settings: RecordingSettings) -> tuple[int | None, int | None]:
+def _range(
+    reader: RecordingReader, settings: RecordingSettings, from_s: float
+) -> tuple[int | None, int | None]:
     start = reader.start_ns or 0
-    first = start + round(settings.from_s * 1e9) if settings.from_s else None
+    first = start + round(from_s * 1e9) if from_s else None
     return first, None if settings.to_s is None else start + round(settings.to_s * 1e9)
 
 

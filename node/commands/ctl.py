@@ -6,6 +6,7 @@ chachart ctl spectrum 7                     where UE 7 is, and both its spectra 
 chachart ctl method music bartlett          estimate theta and rho with these from now on
 chachart ctl record start lab.mcap          record the CSI that comes in, into the node's recording folder
 chachart ctl record stop
+chachart ctl replay --speed 5 --at 30       a recording that is played: pace and place; --pause, --play
 chachart ctl snapshot chart.csv             the whole chart as .csv or .json
 """
 
@@ -56,6 +57,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     start.add_argument("path", metavar="PATH")
     start.set_defaults(on=True)
     record.add_parser("stop", help="close the recording").set_defaults(on=False)
+    replay = operation("replay", "pause, pace and wind a recording that is played", _show_replay)
+    replay.add_argument("--pause", dest="paused", action="store_true", default=None, help="stand still")
+    replay.add_argument("--play", dest="paused", action="store_false", help="go on; at the end, begin anew")
+    replay.add_argument("--speed", type=float, metavar="X", help="times the recorded pace; 0: full speed")
+    replay.add_argument("--at", dest="at_s", type=float, metavar="S", help="go on from there")
     snapshot = operation("snapshot", "save the whole chart as .csv or .json", _save)
     snapshot.add_argument("file", type=Path, metavar="FILE")
     snapshot.set_defaults(op="chart")
@@ -79,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
     """
     if "file" in arguments and arguments.file.suffix not in (".csv", ".json"):
         raise SetupError(f"{arguments.file}: a snapshot is a .csv or a .json file")
-    names = ("op", "ue", "theta", "rho", "on", "path", "token")
+    names = ("op", "ue", "theta", "rho", "on", "path", "paused", "speed", "at_s", "token")
     request = {name: value for name in names if (value := getattr(arguments, name, None)) is not None}
     reply = ask(arguments.endpoint, request, arguments.timeout)
     if arguments.json and "file" not in arguments:
@@ -159,6 +165,17 @@ def _show_method(reply: Reply, _: argparse.Namespace) -> None:
 
 def _show_record(reply: Reply, arguments: argparse.Namespace) -> None:
     print(f"{'recording to' if arguments.on else 'closed'} {reply.get('where')}")
+
+
+def _show_replay(reply: Reply, _: argparse.Namespace) -> None:
+    how = (
+        "at its end"
+        if reply["ended"]
+        else "paused"
+        if reply["paused"]
+        else f"{reply['speed']:g} times the pace"
+    )
+    print(f"{reply['at_s']:.1f} s of {reply['length_s']:.1f} s, {how}")
 
 
 def _save(chart: Reply, arguments: argparse.Namespace) -> None:

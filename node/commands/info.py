@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from chachart.node.data.geometry import ArrayGeometry
-from chachart.node.files.recording import RecordingReader, RecordingSummary
+from chachart.node.files.recording import RecordingReader
+from chachart.node.files.recording_totals import RecordingSummary
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

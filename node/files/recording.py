@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -31,7 +31,7 @@ from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.files.chart_log import is_chart_log
 from chachart.node.files.mcap_chunks import ChunkSpan, DamagedChunk, FileIndex, read_index, read_messages
 from chachart.node.files.mcap_writer import McapWriter, OutgoingMessage
-from chachart.node.files.recording_totals import Account, Totals
+from chachart.node.files.recording_totals import Account, RecordingSummary, Totals, density
 from chachart.node.files.whole_file import WholeFile
 from chachart.node.net.wire import WireError, decode_csi_map, encode_csi_map
 
@@ -45,31 +45,6 @@ _SCHEMA = b"""A msgpack map: v (1), type ("csi"), array (str), seq (int, number 
 shape ([frames, antennas, subcarriers]), dtype ("<c8"), ue (bin, <u8 a frame), time_ns (bin, <i8 a frame),
 position (bin, three <f4 a frame, metres; may be absent), csi (bin, the samples in the order of shape).
 """
-
-
-@dataclass(frozen=True, slots=True)
-class RecordingSummary:
-    """What a recording holds.
-
-    `start_ns` and `end_ns` are the times of its earliest and latest frame, None in an empty recording;
-    `closed_properly` is False where the writer was killed (or still writes); `damaged` counts chunks and
-    messages that were unreadable, by reason, where the file had to be read through; `size` in bytes.
-    """
-
-    array: ArrayGeometry
-    note: Mapping[str, Any]
-    frames: int
-    ues: int
-    start_ns: int | None
-    end_ns: int | None
-    closed_properly: bool
-    damaged: Mapping[str, int]
-    size: int
-
-    @property
-    def seconds(self) -> float:
-        """Time from the earliest frame to the latest, in seconds."""
-        return 0.0 if self.start_ns is None or self.end_ns is None else (self.end_ns - self.start_ns) / 1e9
 
 
 class RecordingWriter:
@@ -258,6 +233,19 @@ class RecordingReader:
         if self._totals is not None:
             return self._totals.start_ns
         return min((chunk.start_ns for chunk in self._index.chunks), default=None)
+
+    @property
+    def end_ns(self) -> int | None:
+        """Time of about the latest frame, as `start_ns`."""
+        if self._totals is not None:
+            return self._totals.end_ns
+        return max((chunk.end_ns for chunk in self._index.chunks), default=None)
+
+    def density(self, bins: int) -> list[float]:
+        """Which share of it lies in each of so many equal parts of its time, from the index alone."""
+        if self.start_ns is None or self.end_ns is None:
+            return [0.0] * bins
+        return density(self._index.chunks, self.start_ns, self.end_ns, bins)
 
     def summary(self) -> RecordingSummary:
         """What the recording holds; a file without totals is read through, once."""

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from types import NoneType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
 from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.files.mcap_chunks import ChunkSpan
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,3 +61,39 @@ class Account:
     def totals(self) -> Totals:
         """The account so far."""
         return Totals(self.frames, len(self.ues), self.start_ns, self.end_ns, self.span_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingSummary:
+    """What a recording holds.
+
+    `start_ns` and `end_ns` are the times of its earliest and latest frame, None in an empty recording;
+    `closed_properly` is False where the writer was killed (or still writes); `damaged` counts chunks and
+    messages that were unreadable, by reason, where the file had to be read through; `size` in bytes.
+    """
+
+    array: ArrayGeometry
+    note: Mapping[str, Any]
+    frames: int
+    ues: int
+    start_ns: int | None
+    end_ns: int | None
+    closed_properly: bool
+    damaged: Mapping[str, int]
+    size: int
+
+    @property
+    def seconds(self) -> float:
+        """Time from the earliest frame to the latest, in seconds."""
+        return 0.0 if self.start_ns is None or self.end_ns is None else (self.end_ns - self.start_ns) / 1e9
+
+
+def density(chunks: Sequence[ChunkSpan], start_ns: int, end_ns: int, bins: int) -> list[float]:
+    """Which share of the bytes of `chunks` lies in each of `bins` equal parts of that time."""
+    chunks = sorted(chunks, key=lambda chunk: chunk.start_ns)
+    length = max((end_ns - start_ns) / 1e9, 1e-9)
+    starts = np.array([(chunk.start_ns - start_ns) / 1e9 for chunk in chunks])
+    shares = np.cumsum([chunk.length for chunk in chunks]) / max(sum(chunk.length for chunk in chunks), 1)
+    before = np.interp(np.linspace(0.0, length, bins + 1), [*starts, length], [0.0, *shares])
+    parts: list[float] = np.diff(before).round(6).tolist()
+    return parts

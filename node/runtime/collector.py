@@ -50,6 +50,11 @@ class Collector:
             self.latency.add(now - arrival, frames)
             self._window.add(now - arrival, frames)
 
+    def start_over(self) -> None:
+        """The source has jumped in time: what the chart held is of another time."""
+        self.table.clear()
+        self.clock.start_over()
+
     def tick(self) -> None:
         """Forget UEs unseen for too long."""
         now_ns = self.clock.now_ns()

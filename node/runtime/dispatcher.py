@@ -67,6 +67,7 @@ class Dispatcher:
         self._worker_status: list[dict[str, Any]] = [{} for _ in range(count)]
         estimator = settings["estimator"]
         self._method: tuple[str, str] = (estimator["theta"], estimator["rho"])
+        self._round = 0
         self._replies: deque[dict[str, Any]] = deque()
         self._go = False
         self._started = False
@@ -172,7 +173,7 @@ class Dispatcher:
     def _send_blocks(self) -> None:
         for shard, identity in enumerate(self._identity):
             while identity is not None and (entry := self._queues.take(shard, self._method)):
-                header = messages.pack({"seq": entry.seq, "method": entry.method})
+                header = messages.pack({"seq": entry.seq, "method": entry.method, "round": self._round})
                 parts = [identity, messages.BLOCK, header, *encode_csi(entry.content.block)]
                 self._workers.send_multipart(parts, copy=False)
 
@@ -213,6 +214,8 @@ class Dispatcher:
         if operation == "set_method":
             self._method = (arguments["theta"], arguments["rho"])
             self._reply({"id": values["id"], "result": arguments})
+        elif operation == "replay":
+            self._replay(values)
         elif operation in ("start_recording", "stop_recording"):
             threading.Thread(target=self._record, args=(values,), name="record", daemon=True).start()
         else:
@@ -223,6 +226,18 @@ class Dispatcher:
                 self._reply({"id": values["id"], "error": error})
             else:
                 self._workers.send_multipart([worker, messages.REQUEST, messages.pack(values)])
+
+    def _replay(self, values: dict[str, Any]) -> None:
+        """Steer the source; after a jump, what workers know of UEs is of another time."""
+        before, wishes = self._source.details(), values["arguments"]
+        try:
+            plays = self._source.replay(**wishes)
+        except RequestError as error:
+            self._reply({"id": values["id"], "error": str(error)})
+            return
+        jumped = wishes["at_s"] is not None or (before["replay"]["ended"] and not plays["ended"])
+        self._round += jumped
+        self._reply({"id": values["id"], "result": {**plays, "jumped": jumped}})
 
     def _record(self, values: dict[str, Any]) -> None:
         answer: dict[str, Any] = {"id": values["id"]}

@@ -180,6 +180,16 @@ class Node:
         """See `NodeAccess`."""
         return self._pending.ask("set_method", checked_method(self._plan, theta, rho))
 
+    def replay(
+        self, *, paused: bool | None = None, speed: float | None = None, at_s: float | None = None
+    ) -> dict[str, Any]:
+        """See `NodeAccess`."""
+        wishes = {"paused": paused, "speed": speed, "at_s": at_s}
+        answer = self._pending.ask("replay", wishes)
+        if answer["jumped"]:
+            self._collector.start_over()
+        return answer
+
     def start_recording(self, path: Path) -> dict[str, Any]:
         """See `NodeAccess`."""
         return self._pending.ask("start_recording", {"path": str(path)})

@@ -44,6 +44,10 @@ class FrameClock:
         if self._newest_ns is None or newest_ns >= self._newest_ns:
             self._newest_ns, self._seen = newest_ns, self._monotonic()
 
+    def start_over(self) -> None:
+        """No frame has come in yet: time may go back."""
+        self._newest_ns = None
+
     def now_ns(self) -> int | None:
         """The time, or None before the first frame."""
         if self._newest_ns is None or not self.live:
@@ -106,6 +110,12 @@ class BlockProcessor:
                 log.warning('rho = "lr" keeps UEs off the chart until it has seen two with a known position')
             self.untrained += untrained
         return Outcome(update if len(update) else None, len(block) - sum(dropped.values()), dropped)
+
+    def start_over(self) -> None:
+        """Let go of all UEs: the source has jumped in time."""
+        self._estimator.forget(np.iinfo(np.int64).max)
+        self._next_forget_ns = None
+        self.clock.start_over()
 
     def forget(self) -> None:
         """Let go of UEs unseen for too long; cheap to call often."""

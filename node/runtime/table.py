@@ -51,6 +51,11 @@ class ChartTable:
                 _put(COLUMNS[name], kept, update.columns.get(name), assignment)
             self._latest = (update.array, update.method, update.columns.keys())
 
+    def clear(self) -> None:
+        """Begin anew with no UE."""
+        with self._lock:
+            self._slots.remove(self._slots.slots)
+
     def forget(self, before_ns: int) -> None:
         """Let go of UEs last seen before that time."""
         with self._lock:

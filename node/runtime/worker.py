@@ -46,6 +46,7 @@ class Worker:
         self._socket = socket
         self._put_back: Message | None = None
         self._last = -1
+        self._round = 0
         self._counters = Counters()
 
     def run(self) -> None:
@@ -85,11 +86,14 @@ class Worker:
         while (message := self._receive(0)) is not None and message[0] == messages.BLOCK:
             header, block = messages.unpack(message[1][0]), decode_csi(message[1][1:])
             frames, size = frames + len(block), size + block.csi.nbytes
-            if frames > self._merge_frames or size > MERGE_BYTES or header["method"] != first["method"]:
+            if frames > self._merge_frames or size > MERGE_BYTES or _differ(header, first):
                 break
             seqs.append(self._number(header))
             blocks.append(block)
         self._put_back = message
+        if first["round"] != self._round:
+            self._round = first["round"]
+            self._processor.start_over()
         outcome = self._processor.process(CsiBlock.concatenate(blocks), *first["method"])
         answer = {
             "seqs": seqs,
@@ -121,6 +125,11 @@ class Worker:
             log.exception("%s failed", values["operation"])
             answer["error"] = f"{values['operation']} failed: {error}"
         self._socket.send_multipart([messages.REPLY, messages.pack(answer)])
+
+
+def _differ(header: dict[str, Any], other: dict[str, Any]) -> bool:
+    """Whether two blocks must not be estimated as one."""
+    return any(header[key] != other[key] for key in ("method", "round"))
 
 
 def warm_up(array: ArrayGeometry, estimator: dict[str, Any]) -> None:

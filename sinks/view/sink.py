@@ -2,7 +2,9 @@
 
 GET  /                              the page
 GET  /ws                            the WebSocket behind it, see `chachart.sinks.view.reception`
-GET  /api/status /api/ues /api/chart /api/spectrum?ue=
+GET  /api/status /api/ues /api/chart /api/recordings /api/spectrum?ue=
+GET  /recordings?name=              a recording of the folder, to keep
+POST /api/replay?paused=&speed=&at_s=
 POST /api/method?theta=&rho=        see `chachart.sinks.operations`
 POST /api/record?on=&path=
 GET  /healthz /readyz /metrics
@@ -14,6 +16,7 @@ import hashlib
 import json
 import time
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -70,9 +73,10 @@ class View(WebSink):
         page_id = hashlib.sha256(b"".join(self._pages.values())).hexdigest()[:16]
         curve = CurveKeeper(node, self.array)
         reception = Reception(self._hub, operations, curve, self.settings.max_viewers, page_id)
+        kept: dict[str, Route] = {"GET /recordings": partial(_download, operations)}
         return WebServer(
             self.settings,
-            {**self._page_routes(), **_control_routes(operations), **routes},
+            {**self._page_routes(), **_control_routes(operations), **kept, **routes},
             reception.welcome,
             self._hub.run,
             self._pages["door.html"],
@@ -103,6 +107,13 @@ class View(WebSink):
 
         routes = {f"GET /{name}": page(body, Path(name).suffix) for name, body in self._pages.items()}
         return {"GET /": routes["GET /index.html"], **routes}
+
+
+def _download(operations: Operations, query: Query) -> Answer:
+    name = query.get("name", "")
+    body = operations.recordings.content(name)
+    keep = {"Content-Disposition": f'attachment; filename="{name}"'}
+    return Answer(body, "application/octet-stream", headers=keep)
 
 
 def _control_routes(operations: Operations) -> dict[str, Route]:

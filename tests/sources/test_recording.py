@@ -10,10 +10,11 @@ from pydantic import ValidationError
 from source_contract import SourceCase, SourceContract, receive
 
 from chachart.node.data.csi import CsiBlock
-from chachart.node.data.errors import SetupError
+from chachart.node.data.errors import RequestError, SetupError
 from chachart.node.files.recording import RecordingWriter
 from chachart.sources.base import EndOfSource
 from chachart.sources.recording import Recording, RecordingSettings
+from chachart.sources.simulator import Simulator, SimulatorSettings
 
 MS = 1_000_000
 
@@ -135,3 +136,40 @@ def test_an_empty_recording_is_told(tmp_path: Path) -> None:
 def test_to_before_from_is_refused() -> None:
     with pytest.raises(ValidationError, match="to_s = 1 must be after from_s = 2"):
         RecordingSettings(from_s=2, to_s=1)
+
+
+def test_it_jumps_pauses_and_goes_back_from_the_end(path: Path, blocks: list[CsiBlock]) -> None:
+    settings = RecordingSettings(path=path, speed=0, at_end="stay")
+    with Recording(settings, small_array()) as source:
+        assert receive(source, 200)
+        assert source.recv(0.0) is None, "the end is not the end of the source"
+        assert source.details()["replay"]["ended"]
+        plays = source.replay(at_s=0.15)
+        assert (plays["ended"], plays["at_s"], plays["paused"]) == (False, 0.15, False)
+        again = receive(source, 50)
+        np.testing.assert_array_equal(
+            np.concatenate([b.time_ns for b in again]), START_NS + np.arange(150, 200) * MS
+        )
+        assert again[0].seq == 200, "frames are numbered as they are played"
+        source.replay(paused=True, at_s=0.0)
+        assert source.recv(0.0) is None
+        assert source.details()["replay"]["paused"]
+        source.replay(paused=False)
+        assert int(receive(source, 200)[0].time_ns[0]) == START_NS
+        source.replay(paused=False)
+        assert int(receive(source, 200)[0].time_ns[0]) == START_NS, "playing on at the end begins anew"
+        with pytest.raises(RequestError, match="at_s must be from 0 to"):
+            source.replay(at_s=1e6)
+
+
+def test_density_says_where_the_frames_are(path: Path) -> None:
+    with Recording(RecordingSettings(path=path), small_array()) as source:
+        density = source.replay()["density"]
+    assert len(density) == 200
+    assert sum(density) == pytest.approx(1, abs=1e-3)
+    np.testing.assert_allclose(np.add.reduceat(density, [0, 50, 100, 150]), 0.25, atol=0.05)
+
+
+def test_only_a_recording_can_be_wound() -> None:
+    with pytest.raises(RequestError, match="the source is simulator"):
+        Simulator(SimulatorSettings(), small_array()).replay(paused=True)

@@ -19,9 +19,10 @@ export function bindKeys(actions, list) {
   document.addEventListener('keydown', (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     if (document.querySelector('dialog[open]')) return;
-    const busy = event.target.closest('input:not([type="checkbox"]), select, textarea');
+    const busy = event.target.closest('input:not([type="checkbox"], [type="range"]), select, textarea');
     if (busy && event.key !== 'Escape') return;
-    if (event.key === ' ' && event.target.closest('button, input')) return;
+    if (event.key === ' ' && event.target.closest('button, input[type="checkbox"]')) return;
+    if (event.target.closest('input[type="range"]') && event.key.startsWith('Arrow')) return;
     const run = table.get(event.key);
     if (!run) return;
     event.preventDefault();

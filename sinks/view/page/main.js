@@ -5,6 +5,8 @@ import { saveCsv, savePng, stamp } from './export.js';
 import { bindKeys } from './keys.js';
 import { number, showHistory, showNode, showQuality, showQualityAgainstK, showQualityOverTime, showSpectra, showUser } from './panels.js';
 import { Picture } from './picture.js';
+import { Recordings } from './recordings.js';
+import { Replay } from './replay.js';
 import { Stream } from './stream.js';
 import { World } from './world.js';
 
@@ -13,6 +15,11 @@ const $ = (id) => document.getElementById(id);
 const world = new World();
 const picture = new Picture($('plot'), world, (row) => select(row < 0 ? null : world.ue[row]));
 const stream = new Stream();
+const recordings = new Recordings(stream);
+const replay = new Replay(stream, () => {
+  world.clear();
+  stream.ask('sync').catch(() => {});
+}, toast);
 let hello = null;
 let statuses = [];
 let qualities = [];
@@ -40,13 +47,26 @@ system.addEventListener('change', () => theme());
 
 // ---- what the node says ----------------------------------------------------------------------------------
 stream.addEventListener('state', () => {
-  const words = { live: 'live', paused: 'paused', gone: 'node gone', connecting: 'connecting' };
-  $('link').dataset.state = stream.state;
-  $('link').textContent = words[stream.state];
+  pill();
+  const over = ended();
   $('gone').hidden = stream.state !== 'gone';
-  if (stream.state === 'gone') $('gone').textContent = `${stream.reason || 'The node is gone.'} This is the last chart it gave; trying to reach it again …`;
+  $('gone').classList.toggle('calm', over);
+  const why = over ? 'The node has ended, as it should.' : stream.reason || 'The node is gone.';
+  if (stream.state === 'gone') $('gone').textContent = `${why} This is the last chart it gave; trying to reach it again …`;
   for (const id of ['theta', 'rho', 'record']) $(id).disabled = stream.state === 'gone';
 });
+
+/** Whether the node said that it was about to end before it went. */
+const ended = () => stream.state === 'gone' && ['draining', 'stopped'].includes(statuses.at(-1)?.state);
+
+/** How things are, in a word or two. */
+function pill() {
+  const words = { live: 'live', paused: 'paused', gone: ended() ? 'node ended' : 'node gone', connecting: 'connecting' };
+  const over = stream.state === 'live' && replay.plays?.ended;
+  const still = stream.state === 'live' && replay.plays?.paused;
+  $('link').dataset.state = ended() || over ? 'ended' : still ? 'paused' : stream.state;
+  $('link').textContent = over ? 'end of the recording' : still ? 'paused' : replay.plays && stream.state === 'live' ? 'replay' : words[stream.state];
+}
 
 stream.addEventListener('hello', ({ detail }) => {
   if (hello && hello.page !== detail.page) location.reload();
@@ -81,6 +101,9 @@ stream.addEventListener('status', ({ detail }) => {
 
 function takeStatus(status) {
   showNode(status, statuses);
+  replay.take(status.source_details?.replay);
+  recordings.take(status.recording);
+  pill();
   const on = Boolean(status.recording);
   $('record').setAttribute('aria-pressed', on);
   // UEs that the node has forgotten: the whole chart says which.
@@ -229,6 +252,7 @@ async function record() {
   }
   $('file').value = `capture-${stamp()}.mcap`;
   $('recording').returnValue = '';
+  recordings.show().catch((error) => ($('recordingsin').textContent = error.message));
   $('recording').showModal();
 }
 
@@ -277,7 +301,7 @@ const clicks = {
 for (const [id, run] of Object.entries(clicks)) $(id).addEventListener('click', run);
 
 bindKeys([
-  [[' '], 'pause or resume', pause],
+  [[' '], 'pause or resume', () => (replay.shown ? replay.toggle() : pause())],
   [['n', 'p'], 'next, previous UE', (event) => step(event.key === 'n')],
   [['/'], 'find a UE by its number', () => $('ue').focus()],
   [['Escape'], 'let go of the UE', () => select(null)],
