@@ -15,7 +15,6 @@ from mcap.writer import CompressionType, Writer
 from pydantic import Field
 
 from chachart.node.data.chart import ChartUpdate
-from chachart.node.data.columns import COLUMNS, Column
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.version import build
 from chachart.node.files.chart_log import HEAD
@@ -23,17 +22,14 @@ from chachart.node.files.whole_file import WholeFile
 from chachart.sinks.base import SinkSettings
 from chachart.sinks.file_sink import FileSink, FileSinkSettings
 from chachart.sinks.files import free_name
-from chachart.sinks.foxglove import SCHEMA, point_cloud
+from chachart.sinks.gathering import Gathering
 from chachart.sinks.plain import plain
+from chachart.sinks.point_cloud import SCHEMA, point_cloud
+from chachart.sinks.schemas import schemas
 
 CHUNK_BYTES = 256 * 1024
 ROWS_PER_MESSAGE = 256
 """Encoding a message holds up the interpreter, and the collector with it: a millisecond does no harm."""
-MOST_WAITING = 64
-LARGEST_SHARE = 0.1
-"""Writing charts may take such a share of the time; with very many UEs they are written less often."""
-
-_NUMBER = {"type": ["number", "null"]}
 
 
 class ChartLogSettings(FileSinkSettings):
@@ -66,8 +62,8 @@ class ChartLogFile:
         self._added = 0
         self._messages = 0
         self._refused = False
-        schemas = _schemas()
-        self._encoding: dict[str, str] = dict.fromkeys(schemas, settings.encoding)
+        known = schemas()
+        self._encoding: dict[str, str] = dict.fromkeys(known, settings.encoding)
         self._file = WholeFile(path)
         try:
             self._writer = Writer(
@@ -75,7 +71,7 @@ class ChartLogFile:
             )
             self._writer.start(profile="chachart", library=f"chachart {build()}")
             self._writer.add_metadata(HEAD, {"array": json.dumps(array.as_dict())})
-            kinds = {kind: (f"{kind}.{array.name}", schema) for kind, schema in schemas.items()}
+            kinds = {kind: (f"{kind}.{array.name}", schema) for kind, schema in known.items()}
             if settings.foxglove:
                 kinds["points"] = f"/chart/{array.name}/points", SCHEMA
                 self._encoding["points"] = "json"  # Foxglove reads nothing else
@@ -163,16 +159,12 @@ class ChartLog(FileSink[ChartLogFile]):
     def __init__(self, settings: Any, array: ArrayGeometry) -> None:
         super().__init__(settings, array)
         self.max_bytes = self.settings.max_bytes
-        self._waiting: list[ChartUpdate] = []
-        self._write_at = 0.0
+        self._gathering = Gathering(self.settings.every_s)
 
     def on_chart(self, update: ChartUpdate) -> None:
         """Gather the update; write what is gathered when it is time."""
-        self._waiting.append(update)
-        if len(self._waiting) > MOST_WAITING:
-            self._waiting = [ChartUpdate.concatenate(self._waiting)]
-        if time.monotonic() >= self._write_at:
-            self._write_waiting()
+        self._gathering.add(update)
+        self._write_chart(self._gathering.due())
 
     def on_quality(self, report: dict[str, Any]) -> None:
         """Write the report."""
@@ -184,28 +176,23 @@ class ChartLog(FileSink[ChartLogFile]):
 
     def on_tick(self) -> None:
         """Write what is gathered when it is time."""
-        if time.monotonic() >= self._write_at:
-            self._write_waiting()
+        self._write_chart(self._gathering.due())
         super().on_tick()
 
     def close(self) -> None:
         """Write what is gathered, and end the file."""
-        self._write_waiting()
+        self._write_chart(self._gathering.take())
         super().close()
 
-    def _write_waiting(self) -> None:
-        if not self._waiting:
+    def _write_chart(self, update: ChartUpdate | None) -> None:
+        if update is None:
             return
-        update, self._waiting = ChartUpdate.concatenate(self._waiting), []
-        begin = time.monotonic()
         for part in update.parts(ROWS_PER_MESSAGE):
             values = part.plain()
             self._write(len(part), partial(ChartLogFile.add, kind="chart", values=values, rows=len(part)))
         if self.settings.foxglove:
             self._write(0, lambda file: file.add("points", point_cloud(update)))
-        if self.settings.every_s:
-            took = time.monotonic() - begin
-            self._write_at = begin + max(self.settings.every_s, took / LARGEST_SHARE)
+        self._gathering.done()
 
     def _report(self, kind: str, report: dict[str, Any]) -> None:
         values = {"array": self.array.name, **plain(report)}
@@ -214,27 +201,3 @@ class ChartLog(FileSink[ChartLogFile]):
     def _begin(self) -> tuple[Path, ChartLogFile]:
         path = free_name(self.settings.path)
         return path, ChartLogFile(path, self.array, self.settings)
-
-
-def _schemas() -> dict[str, dict[str, Any]]:
-    """The JSON schema of each kind of message."""
-    method = {"type": "object", "properties": {"theta": {"type": "string"}, "rho": {"type": "string"}}}
-    chart = {
-        "title": "chachart.chart",
-        "description": "One row a UE; null where a value is unknown.",
-        "type": "object",
-        "properties": {
-            "array": {"type": "string"},
-            "method": method,
-            **{column.name: _schema(column) for column in COLUMNS.values()},
-        },
-        "required": ["array", "method", *(c.name for c in COLUMNS.values() if not c.optional)],
-    }
-    quality, status = ({"title": f"chachart.{kind}", "type": "object"} for kind in ("quality", "status"))
-    return {"chart": chart, "quality": quality, "status": status}
-
-
-def _schema(column: Column) -> dict[str, Any]:
-    row = {"type": "array", "items": _NUMBER} if column.parts else _NUMBER
-    unit = f" In {column.unit}." if column.unit else ""
-    return {"type": "array", "items": row, "description": f"{column.about}{unit}"}

@@ -1,68 +1,145 @@
-"""Charts as `foxglove.PointCloud` messages in JSON, which Foxglove's 3D panel draws.
-
-The schema's names are Foxglove's (https://docs.foxglove.dev/docs/sdk/schemas/point-cloud); it takes bytes as
-base64 where the schema says so.
-"""
+"""Charts live in Foxglove: its WebSocket, served by its own SDK."""
 
 from __future__ import annotations
 
-import base64
-import time
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-import numpy as np
+from pydantic import Field
 
 from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.errors import SetupError
+from chachart.node.data.extras import missing, require
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.net.endpoints import is_local
+from chachart.node.net.security import SecuritySettings
+from chachart.sinks.base import NodeAccess, Sink, SinkSettings
+from chachart.sinks.gathering import Gathering
+from chachart.sinks.plain import plain
+from chachart.sinks.point_cloud import SCHEMA, point_cloud
+from chachart.sinks.schemas import schemas
 
-POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("snr", "<f4"), ("ue", "<f8")])
-"""One point of `data`: chart coordinates in metres (z is 0), SNR in dB; `ue` is exact up to 2^53."""
-
-_NUMERIC_TYPES = {"<f4": 7, "<f8": 8}
-
-
-def _object(title: str, **properties: Any) -> dict[str, Any]:
-    return {"title": title, "type": "object", "properties": properties}
-
-
-def _numbers(title: str, names: str) -> dict[str, Any]:
-    return _object(title, **{name: {"type": "number"} for name in names})
-
-
-_WHOLE = {"type": "integer", "minimum": 0}
-_FIELD = _object("foxglove.PackedElementField", name={"type": "string"}, offset=_WHOLE, type=_WHOLE)
-_POSE = _object(
-    "foxglove.Pose",
-    position=_numbers("foxglove.Vector3", "xyz"),
-    orientation=_numbers("foxglove.Quaternion", "xyzw"),
-)
-SCHEMA = _object(
-    "foxglove.PointCloud",
-    timestamp=_object("time", sec=_WHOLE, nsec=_WHOLE),
-    frame_id={"type": "string"},
-    pose=_POSE,
-    point_stride=_WHOLE,
-    fields={"type": "array", "items": _FIELD},
-    data={"type": "string", "contentEncoding": "base64"},
-)
-"""JSON schema of the messages; its title is the name by which Foxglove knows what they are."""
-
-_FIELDS = [
-    {"name": name, "offset": offset, "type": _NUMERIC_TYPES[kind.str]}
-    for name, (kind, offset, *_) in (POINT.fields or {}).items()
-]
+if TYPE_CHECKING:
+    import foxglove
+    from foxglove.websocket import WebSocketServer
 
 
-def point_cloud(update: ChartUpdate) -> dict[str, Any]:
-    """An update as a point cloud in the frame of the chart, which is named as the array is."""
-    points = np.zeros(len(update), POINT)
-    for name in ("x", "y", "snr", "ue"):
-        points[name] = getattr(update, name)
-    sec, nsec = divmod(time.time_ns(), 10**9)
-    return {
-        "timestamp": {"sec": sec, "nsec": nsec},
-        "frame_id": update.array,
-        "pose": {"position": {"x": 0, "y": 0, "z": 0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}},
-        "point_stride": POINT.itemsize,
-        "fields": _FIELDS,
-        "data": base64.b64encode(points.tobytes()).decode(),
-    }
+class FoxgloveSettings(SinkSettings):
+    """`type = "foxglove"`: charts, quality and status to Foxglove, live. Loopback only: no tokens."""
+
+    type: Literal["foxglove"] = "foxglove"
+    host: str = Field("127.0.0.1", min_length=1)
+    """Address to listen on: one of this machine's own. Others come by `ssh -L`."""
+    port: int = Field(8765, ge=0, le=65535)
+    """TCP port; 0 takes a free one."""
+    every_s: float = Field(0.1, ge=0)
+    """Charts are gathered for so long, a UE is sent once with its newest place; 0 sends every update."""
+    queue_messages: int = Field(1024, ge=16, le=65536)
+    """Messages that may wait for each viewer; a slower one loses the oldest."""
+
+    def listens_on(self) -> str | None:
+        """Its address, unless any free port will do."""
+        return f"tcp://{self.host}:{self.port}" if self.port else None
+
+    def exposure(self, security: SecuritySettings) -> list[str]:
+        """An address that other machines reach would let anybody in."""
+        if is_local(f"tcp://{self.host}:{self.port}"):
+            return []
+        return [
+            f'sink "foxglove" listens on {self.host}, which others can reach, and knows no tokens: use ssh -L'
+        ]
+
+
+class Foxglove(Sink):
+    """Channels `/chart/<array>/points`, `chart.<array>`, `quality.<array>`, `status.<array>`."""
+
+    Settings: ClassVar[type[SinkSettings]] = FoxgloveSettings
+    settings: FoxgloveSettings
+
+    def __init__(self, settings: Any, array: ArrayGeometry) -> None:
+        super().__init__(settings, array)
+        self._gathering = Gathering(self.settings.every_s)
+        self._context: foxglove.Context | None = None
+        self._server: WebSocketServer | None = None
+        self._channels: dict[str, foxglove.Channel] = {}
+        self._where: str | None = None
+
+    @classmethod
+    def problems(cls, settings: FoxgloveSettings) -> list[str]:
+        """Whether its library is there."""
+        return missing("foxglove")
+
+    def open(self, node: NodeAccess | None) -> None:
+        """Listen.
+
+        Raises
+        ------
+        SetupError
+            If its library is missing, or the port is in use.
+        """
+        require("foxglove", 'sink "foxglove":')
+        import foxglove
+
+        s = self.settings
+        context = self._context = foxglove.Context()  # without it the server tells of no channel
+        try:
+            self._server = foxglove.start_server(
+                name=f"chachart {self.array.name}",
+                host=s.host,
+                port=s.port,
+                context=context,
+                message_backlog_size=s.queue_messages,
+            )
+        except (OSError, RuntimeError) as error:
+            raise SetupError(f'sink "foxglove" cannot listen on {s.host}:{s.port}: {error}') from None
+        self._where = f"ws://{s.host}:{self._server.port}"
+        kinds = {kind: (f"{kind}.{self.array.name}", schema) for kind, schema in schemas().items()}
+        kinds["points"] = f"/chart/{self.array.name}/points", SCHEMA
+        self._channels = {
+            kind: foxglove.Channel(topic, schema=schema, message_encoding="json", context=context)
+            for kind, (topic, schema) in kinds.items()
+        }
+
+    def on_chart(self, update: ChartUpdate) -> None:
+        """Gather the update; send what is gathered when it is time."""
+        self._gathering.add(update)
+        self.on_tick()
+
+    def on_quality(self, report: dict[str, Any]) -> None:
+        """Send the report."""
+        self._send("quality", {"array": self.array.name, **plain(report)})
+
+    def on_status(self, report: dict[str, Any]) -> None:
+        """Send the report."""
+        self._send("status", {"array": self.array.name, **plain(report)})
+
+    def on_tick(self) -> None:
+        """Send what is gathered when it is time."""
+        update = self._gathering.due()
+        if update is not None:
+            self._chart(update)
+
+    def close(self) -> None:
+        """Send what is gathered, and stop listening."""
+        update = self._gathering.take()
+        if self._server is not None:
+            if update is not None:
+                self._chart(update)
+            self._server.stop()
+            for channel in self._channels.values():
+                channel.close()
+            self._server = self._context = None
+            self._channels = {}
+
+    def where(self) -> str | None:
+        """Its address, to open in Foxglove."""
+        return self._where
+
+    def _chart(self, update: ChartUpdate) -> None:
+        if self._channels["points"].has_sinks():
+            self._send("points", point_cloud(update))
+        if self._channels["chart"].has_sinks():
+            self._send("chart", update.plain())
+        self._gathering.done()
+
+    def _send(self, kind: str, values: dict[str, Any]) -> None:
+        self._channels[kind].log(values)

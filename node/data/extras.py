@@ -16,6 +16,8 @@ EXTRAS = {
     "plot": {"matplotlib": "matplotlib", "PIL": "pillow"},
     "bench": {"threadpoolctl": "threadpoolctl"},
     "pandas": {"pandas": "pandas"},
+    "foxglove": {"foxglove": "foxglove-sdk"},
+    "mqtt": {"paho": "paho-mqtt"},
 }
 """By extra of chachart: module and the package it comes in."""
 
