@@ -1,0 +1,1 @@
+"""One position a UE from the frames of several arrays."""
