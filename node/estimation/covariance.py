@@ -70,6 +70,13 @@ class Grouping:
     def __len__(self) -> int:
         return len(self.slots)
 
+    def part(self, ues: NDArray[np.bool_]) -> tuple[Grouping, NDArray[np.intp]]:
+        """The group of some UEs (U,) alone, and which frames of the block those are."""
+        frames = self.order[np.repeat(ues, self.counts)]
+        slots = np.repeat(self.slots, self.counts)[np.repeat(ues, self.counts)]
+        in_order = np.argsort(frames)
+        return Grouping(slots[in_order]), frames[in_order]
+
     def sum(self, x: NDArray[Any], decay: float) -> NDArray[Any]:
         """Sum of each UE's frames of `x` (K, ...), weighted decay**(frames of that UE that follow)."""
         if self.single:
@@ -148,10 +155,21 @@ class Weights(SlotState):
         before = self._sum.rows[group.slots]
         if group.rest is None and (full := before >= MOST_WEIGHT).any():
             group.rest = np.where(full, 0.5, 1.0)
+        if group.rest is not None:
             self._squares.rows[group.slots] *= group.rest  # once more below: these are squares
         ones = np.ones(len(group.order))
         weight = self._sum.add(group, ones)
         return weight, weight * weight / self._squares.add(group, ones)
+
+    def fade(self, slots: Slots, factor: Floats) -> None:
+        """Have what came so far count `factor` (U,) times as much."""
+        self._sum.rows[slots] *= factor
+        self._squares.rows[slots] *= factor * factor
+
+    def copy_from(self, other: Weights, slots: Slots) -> None:
+        """Have the weights that `other` has of `slots`."""
+        self._sum.rows[slots] = other._sum.rows[slots]
+        self._squares.rows[slots] = other._squares.rows[slots]
 
     def of(self, slots: Slots) -> tuple[Floats, Floats]:
         """W and the effective number of frames of `slots`; 0 where there was none."""

@@ -13,6 +13,7 @@ from chachart.node.estimation.direct_path import DirectPath
 from chachart.node.estimation.locator import Columns, Features, Locator
 from chachart.node.estimation.options import Options
 from chachart.node.estimation.periodogram import CoherentSums, Csi, PowerSums, SpectrumState, energy
+from chachart.node.estimation.phase_watch import PhaseWatch
 from chachart.node.estimation.state import Slots, SlotState
 
 Floats = NDArray[np.float64]
@@ -21,9 +22,8 @@ Floats = NDArray[np.float64]
 class JointLocator(Locator):
     """The joint angle-delay method: `DirectPath` on averaged spectra.
 
-    Averages the frames themselves while they keep their phase, which finds weak paths best, and their power
-    spectra when they do not (see `PhaseWatch`). The change, once and for all UEs, takes over what has been
-    averaged so far.
+    Averages a UE's frames themselves while they keep their phase, which finds weak paths best, and their
+    power spectra while they do not (see `PhaseWatch`). A change takes over what has been averaged so far.
 
     Parameters
     ----------
@@ -31,47 +31,43 @@ class JointLocator(Locator):
         As of `ChartEstimator`.
     """
 
-    SHARED = ("_random",)
+    BY_SLOT = ("_random",)
 
     def __init__(self, array: ArrayGeometry, options: Options) -> None:
         self._direct_path = DirectPath(array, options.rho_max_m)
-        self._decay = options.decay
-        self._weights = Weights(options.decay)
         periodogram = self._direct_path.periodogram
-        self._sums = CoherentSums(periodogram, self._weights, options.decay)
+        self._weights = Weights(options.decay)
+        self._sums = CoherentSums(periodogram, options.decay)
         self._powers = PowerSums(periodogram, options.decay)
-        self._random = int(options.phase == "random")
-        self._watch = PhaseWatch()
-        self._watched = options.phase == "auto"
-        super().__init__(weights=self._weights, sums=self._sums, powers=self._powers, watch=self._watch)
-
-    @property
-    def coherent(self) -> bool:
-        """Whether frames are averaged rather than their power spectra."""
-        return not self._random
-
-    @property
-    def _state(self) -> SpectrumState:
-        return self._powers if self._random else self._sums
+        self._watch = PhaseWatch(options.decay)
+        self._phase = options.phase
+        self._random = np.zeros(0, np.bool_)
+        super().__init__(weights=self._weights)
+        used: dict[str, dict[str, SlotState]] = {
+            "steady": {"sums": self._sums},
+            "random": {"powers": self._powers},
+            "auto": {"sums": self._sums, "powers": self._powers, "watch": self._watch},
+        }
+        self.children |= used[options.phase]
 
     def features(self, csi: Csi) -> Features:
-        """The frames (K, N_R, N_S), or their power spectra."""
-        kept = self._state.features(csi)
-        return Features(self._state.energy(kept), {"state": kept})
+        """The frames (K, N_R, N_S)."""
+        return Features(energy(csi.reshape(len(csi), -1)), {"csi": csi})
 
     def estimate(self, group: Grouping, features: Features, position: NDArray[np.float32]) -> Columns:
         """Take a block's frames and locate its UEs; `position` is of no use here."""
+        csi = features.kept["csi"]
         _, frames = self._weights.add(group)
-        self._state.take(group, features.kept["state"])
-        if self._watched and self.coherent:
-            self._watch.look(group, features.kept["state"], self._sums.bank.rows[group.slots], self._decay)
-            if not self._watch.steady:
-                known = self._weights.of(np.arange(len(self._sums.bank.rows)))[0] > 0
-                self._powers.take_over(np.flatnonzero(known), self._sums)
-                self._random = 1
-        chunk = self._direct_path.periodogram.chunk
-        pieces = [self._locate(group.slots[i : i + chunk]) for i in range(0, len(group), chunk)]
-        at = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
+        random = self._add(group, csi)
+        if not random.any():
+            at = self._locate(self._sums, group.slots)
+        elif random.all():
+            at = self._locate(self._powers, group.slots)
+        else:
+            parts = [(self._sums, np.flatnonzero(~random)), (self._powers, np.flatnonzero(random))]
+            places = np.argsort(np.concatenate([which for _, which in parts]))
+            pieces = [self._locate(state, group.slots[which]) for state, which in parts]
+            at = {name: np.concatenate([piece[name] for piece in pieces])[places] for name in pieces[0]}
         return at | {"snapshots": frames}
 
     def spectrum(self, slot: int, points: int) -> dict[str, Any] | None:
@@ -81,8 +77,9 @@ class JointLocator(Locator):
             return None
         angle, delay = self._direct_path.angle, self._direct_path.delay
         theta, rho = angle.points(points), delay.points(points)
+        state = self._powers if self._phase == "random" or self._random[slot] else self._sums
         power = self._direct_path.periodogram.sampled(
-            self._state.spectra(slots)[0][0], angle.u(theta), -delay.u(rho)
+            state.spectra(slots)[0][0], angle.u(theta), -delay.u(rho)
         )
         power /= power.max()
         return {
@@ -92,57 +89,44 @@ class JointLocator(Locator):
             "rho_spectrum": power.max(axis=0),
         }
 
-    def _locate(self, slots: Slots) -> Columns:
+    def _add(self, group: Grouping, csi: Csi) -> NDArray[np.bool_]:
+        """Take a block's frames; which UEs (U,) are to be located by their power spectra."""
+        slots = group.slots
+        if self._phase == "random":
+            self._powers.take(group, csi)
+            return np.ones(len(slots), np.bool_)
+        if self._phase == "steady":
+            self._sums.take(group, csi)
+            return np.zeros(len(slots), np.bool_)
+        was = self._random[slots]
+        if was.any():
+            self._sums.fade(slots[was], self._watch.fading(group.counts[was]))
+        self._sums.take(group, csi)
+        self._watch.look(group, csi, self._sums.bank.rows, was)
+        now = self._watch.random(slots, was)
+        if now.any() or was.any():
+            self._change(group, csi, was, now)
+        return now
+
+    def _change(self, group: Grouping, csi: Csi, was: NDArray[np.bool_], now: NDArray[np.bool_]) -> None:
+        """Bring the power spectra up to date for UEs (U,) whose phases were and are now random."""
+        if (stay := was & now).any():
+            part, frames = group.part(stay)
+            self._powers.take(part, csi[frames])
+        if (fresh := now & ~was).any():
+            self._powers.take_over(group.slots[fresh], self._sums)
+        if (steady := was & ~now).any():
+            self._powers.clear(group.slots[steady])
+            self._weights.copy_from(self._sums.weights, group.slots[steady])
+        self._random[group.slots] = now
+
+    def _locate(self, state: SpectrumState, slots: Slots) -> Columns:
         """Where the UEs are, and their SNR; echoes count as noise, as they do on one axis."""
-        power, looks, gain = self._state.spectra(slots)
-        at = self._direct_path.find(power, looks)
-        at["snr"] = 10 * np.log10(at["power"] / (at["noise"] + (gain - 1) * at["floor"]))
-        return at
-
-
-class PhaseWatch(SlotState):
-    """Do frames keep the phase of those that they are averaged with?
-
-    Oscillators that start anew with every frame turn its phase at random, and so does a UE that moves by a
-    wavelength between frames, the phases of its echoes even against one another. The mean over frames then
-    shrinks. Watched is, over all UEs, the cosine of arg(z), z = <sum of the UE's other frames, frame>, where
-    |z| is too large to be noise: z of independent noise has the mean square |a|^2 |b|^2 / N.
-    """
-
-    EVERY = 8
-    """Of a block, every so many frames are looked at."""
-    SIGNIFICANCE = 9.0
-    """|z|^2 over its mean square for noise: then arg(z) is good to 0.25 rad, its cosine to 3 %."""
-    MEMORY = 256.0
-    """Significant frames remembered; a quarter of it is what the belief in steadiness weighs at first."""
-    STEADY = 0.9
-    """Least mean cosine: the loss of signal is then below 1 dB."""
-
-    SHARED = ("_cosines", "_count", "_blocks")
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._cosines = self._count = self.MEMORY / 4
-        self._blocks = 0
-
-    @property
-    def steady(self) -> bool:
-        """Whether frames do keep their phase."""
-        return self._cosines >= self.STEADY * self._count
-
-    def look(self, group: Grouping, csi: Csi, sums: Csi, decay: float) -> None:
-        """Look at some of a block's frames (K, N_R, N_S); `sums` (U, N_R, N_S) already hold them."""
-        every = slice(self._blocks % min(self.EVERY, len(csi)), None, self.EVERY)
-        self._blocks += 1
-        ue = np.repeat(np.arange(len(group)), group.counts)[every]
-        follow = (group.starts + group.counts)[ue] - 1 - np.arange(len(csi))[every]
-        frames = csi[group.order[every]].reshape(len(ue), -1)
-        others = sums[ue].reshape(len(ue), -1)
-        others -= np.power(decay, follow).astype(np.float32)[:, None] * frames
-        z = np.einsum("ki,ki->k", others.conj(), frames)
-        size = np.abs(z).astype(np.float64)
-        noise = energy(others) * energy(frames) / frames.shape[1]
-        sure = size**2 > self.SIGNIFICANCE * noise
-        keep = np.exp(-int(sure.sum()) / self.MEMORY)
-        self._cosines = keep * self._cosines + float((z.real[sure] / size[sure]).sum())
-        self._count = keep * self._count + int(sure.sum())
+        chunk = self._direct_path.periodogram.chunk
+        pieces = []
+        for i in range(0, len(slots), chunk):
+            power, looks, gain = state.spectra(slots[i : i + chunk])
+            at = self._direct_path.find(power, looks)
+            at["snr"] = 10 * np.log10(at["power"] / (at["noise"] + (gain - 1) * at["floor"]))
+            pieces.append(at)
+        return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}

@@ -107,16 +107,8 @@ class SpectrumState(SlotState):
     """Frames in, averaged spectra out, by slot."""
 
     @abstractmethod
-    def features(self, csi: Csi) -> NDArray[Any]:
-        """What is summed up of each frame (K, N_R, N_S)."""
-
-    @abstractmethod
-    def energy(self, features: NDArray[Any]) -> NDArray[Any]:
-        """Sum of |h|^2 of each frame (K,)."""
-
-    @abstractmethod
-    def take(self, group: Grouping, features: NDArray[Any]) -> None:
-        """Take a block's frames."""
+    def take(self, group: Grouping, csi: Csi) -> None:
+        """Take a block's frames (K, N_R, N_S)."""
 
     @abstractmethod
     def spectra(self, slots: Slots) -> tuple[Power, Floats, Floats]:
@@ -136,32 +128,29 @@ class CoherentSums(SpectrumState):
     ----------
     periodogram
         Of the array.
-    weights
-        Of the frames, kept by whoever owns this.
     decay
         Weight of a frame relative to the next.
     """
 
-    def __init__(self, periodogram: Periodogram, weights: Weights, decay: float) -> None:
-        self._periodogram, self._weights = periodogram, weights
+    def __init__(self, periodogram: Periodogram, decay: float) -> None:
+        self._periodogram = periodogram
         self.bank = Bank(periodogram.shape, np.complex64, decay)
-        super().__init__(bank=self.bank)
+        self.weights = Weights(decay)
+        super().__init__(bank=self.bank, weights=self.weights)
 
-    def features(self, csi: Csi) -> Csi:
-        """The frames."""
-        return csi
-
-    def energy(self, features: Csi) -> Floats:
-        """Sum of |h|^2 of each frame (K,)."""
-        return energy(features.reshape(len(features), -1))
-
-    def take(self, group: Grouping, features: Csi) -> None:
+    def take(self, group: Grouping, csi: Csi) -> None:
         """Take a block's frames."""
-        self.bank.add(group, features)
+        self.weights.add(group)
+        self.bank.add(group, csi)
+
+    def fade(self, slots: Slots, factor: Floats) -> None:
+        """Have what came so far count `factor` (U,) times as much."""
+        self.weights.fade(slots, factor)
+        self.bank.rows[slots] *= factor.astype(np.float32)[:, None, None]
 
     def spectra(self, slots: Slots) -> tuple[Power, Floats, Floats]:
         """See `SpectrumState`."""
-        weight, frames = self._weights.of(slots)
+        weight, frames = self.weights.of(slots)
         sums = self.bank.rows[slots]
         sums *= (np.sqrt(frames) / weight).astype(np.float32)[:, None, None]
         return self._periodogram.of(sums), np.ones(len(slots)), frames
@@ -184,26 +173,18 @@ class PowerSums(SpectrumState):
         self._weights = Weights(decay)
         super().__init__(bank=self._bank, weights=self._weights)
 
-    def features(self, csi: Csi) -> Power:
-        """The frames' spectra."""
+    def take(self, group: Grouping, csi: Csi) -> None:
+        """Take a block's frames."""
         power = np.empty((len(csi), *self._periodogram.grid), np.float32)
         for i in range(0, len(csi), self._periodogram.chunk):
             part = slice(i, i + self._periodogram.chunk)
             power[part] = self._periodogram.of(csi[part])
-        return power
-
-    def energy(self, features: Power) -> NDArray[np.float32]:
-        """Sum of |h|^2 of each frame (K,), the mean of its spectrum."""
-        mean: NDArray[np.float32] = features.mean(axis=(1, 2))
-        return mean
-
-    def take(self, group: Grouping, features: Power) -> None:
-        """Take a block's frames."""
-        self._bank.add(group, features)
         self._weights.add(group)
+        self._bank.add(group, power)
 
     def take_over(self, slots: Slots, other: CoherentSums) -> None:
-        """Go on where `other` is: its spectra of `slots` count as one look each."""
+        """Begin with what `other` has of `slots`: its spectra count as one look each."""
+        self.clear(slots)
         for i in range(0, len(slots), self._periodogram.chunk):
             part = slots[i : i + self._periodogram.chunk]
             self._bank.rows[part] = other.spectra(part)[0]

@@ -15,8 +15,7 @@ from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation import bounds, quality
 from chachart.node.estimation.covariance import Grouping
 from chachart.node.estimation.estimator import ChartEstimator
-from chachart.node.estimation.joint import JointLocator, PhaseWatch
-from chachart.node.estimation.options import Options
+from chachart.node.estimation.phase_watch import PhaseWatch
 
 Build = Callable[..., Any]
 WIDE: dict[str, Any] = {"subcarrier_spacing_hz": 312.5e3}
@@ -346,25 +345,40 @@ def test_spectrum_peaks_at_the_estimate(los: Build, phase: str) -> None:
 
 def test_phase_watch_ignores_noise_and_single_frames() -> None:
     rng = np.random.default_rng(0)
-    watch = PhaseWatch()
+    watch = PhaseWatch(1.0)
+    watch.resize(8)
     noise = (rng.standard_normal((8, 16, 16, 2)) @ [1, 1j]).astype(np.complex64)
-    group = Grouping(np.arange(8))
+    group, steady = Grouping(np.arange(8)), np.zeros(8, np.bool_)
     for _ in range(50):
-        watch.look(group, noise, noise.copy(), 1.0)
+        watch.look(group, noise, noise.copy(), steady)
         other = (rng.standard_normal((8, 16, 16, 2)) @ [1, 1j]).astype(np.complex64)
-        watch.look(group, noise, noise + other, 1.0)
-    assert watch.steady
+        watch.look(group, noise, noise + other, steady)
+    assert not watch.random(np.arange(8), steady).any()
 
 
-def test_few_ues_in_motion_do_not_make_an_array_unsteady(los: Build) -> None:
+@pytest.mark.parametrize("averaging", ["mean", "exponential"])
+def test_each_ue_is_judged_by_its_own_phases_and_may_come_to_rest(los: Build, averaging: str) -> None:
+    """Of 64 UEs 16 move, each frame's paths having other phases, and then stand."""
     world = weaker_first(los(2, **WIDE).array, 64)
-    locator = JointLocator(world.array, Options(**JOINT))
-    locator.resize(64)
-    moving = np.arange(64) % 32 == 0
-    for _ in range(20):
-        csi = np.where(moving[:, None, None], world.block(5.0, phase="moving").csi, world.block(5.0).csi)
-        locator.estimate(Grouping(np.arange(64)), locator.features(csi), np.full((64, 3), np.float32(np.nan)))
-    assert locator.coherent
+    moving = np.arange(64) % 4 == 0
+    auto, steady, random = (
+        ChartEstimator(world.array, **JOINT, averaging=averaging, phase=phase)
+        for phase in ("auto", "steady", "random")
+    )
+    for _ in range(40):
+        block = world.block(0.0)
+        block.csi[moving] = world.block(0.0, phase="moving").csi[moving]
+        a, told, mean = (estimator.update(block) for estimator in (auto, steady, random))
+    assert np.array_equal(a.rho[~moving], told.rho[~moving])
+    assert np.mean(np.abs(a.rho - mean.rho)[moving] < 5) > 0.9
+    assert np.mean(world.errors(a)[1][moving] < 10) > np.mean(world.errors(told)[1][moving] < 10)
+    for _ in range(80):
+        a, told = (estimator.update(world.block(0.0)) for estimator in (auto, steady))
+    assert np.mean(world.errors(a)[1][moving] < 10) > 0.9
+    fresh = ChartEstimator(world.array, **JOINT, averaging=averaging, phase="steady")
+    for _ in range(16):
+        told = fresh.update(world.block(0.0))
+    assert np.median(a.rho_std[moving]) < 1.2 * np.median(told.rho_std[moving])  # in phase again
 
 
 @pytest.mark.parametrize(("channels", "least"), [("qlos", 0.9995), ("qnlos", 0.995)])
