@@ -1,11 +1,13 @@
-"""Turn a capture of another tool into a recording that a node replays.
+"""Turn captures of other tools into a recording that a node replays.
 
     chachart import capture.npz capture.mcap --csi H --axes ue,antenna,subcarrier --position xyz \\
         --carrier-hz 2e9 --subcarrier-spacing-hz 312500 --array-position 0,0,10 --array-axis y
+    chachart import POS1.dat POS2.dat lab.mcap --carrier-hz 5.32e9 --position 1,0,0 --position 2,0.5,0
 
-The format is found by what the file holds, not by its name. Frames are written in the order of --time; where
-there is none, every UE gets its n-th frame before any gets its next. A value that begins with a minus sign is
-written with an equals sign, as in --array-axis=-y.
+The format is found by what a file holds, not by its name; gzip and bzip2 are unpacked. Frames that are whole
+are kept, all others are counted by reason. Wi-Fi captures say most things themselves. Frames of arrays are
+written in the order of --time; where there is none, every UE gets its n-th frame before any gets its next. A
+value that begins with a minus sign is written with an equals sign, as in --array-axis=-y.
 """
 
 from __future__ import annotations
@@ -16,135 +18,148 @@ from pathlib import Path
 
 import numpy as np
 
+from chachart.node.commands.importing import arrays, places, report, wifi
+from chachart.node.commands.importing.geometry import geometry
+from chachart.node.commands.importing.options import add_arguments
+from chachart.node.commands.importing.table import Band, Part, drop_bad, refuse_losses, table_of
 from chachart.node.commands.shared.cli import check_writable, progress, written_whole
-from chachart.node.commands.shared.importing import read_table
 from chachart.node.data.errors import SetupError
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.files.recording import RecordingWriter
 from chachart.sources.formats import open_capture
-from chachart.sources.formats.arrange import AXES
+from chachart.sources.formats.base import Capture
+from chachart.sources.formats.wifi.capture import WifiCapture
+from chachart.sources.formats.wifi.log import mac
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line of `chachart import`."""
-    parser.add_argument("capture", type=Path, metavar="IN", help="the capture")
-    parser.add_argument("recording", type=Path, metavar="OUT.mcap", help="the recording to write")
-    parser.add_argument("--force", action="store_true", help="replace OUT.mcap if it exists")
-    data = parser.add_argument_group("what the file holds")
-    data.add_argument("--csi", required=True, metavar="NAME", help="the variable with the CSI")
-    data.add_argument(
-        "--axes",
-        help=f"its axes in order, of {', '.join(AXES)}; a missing one means one (ue,antenna,subcarrier)",
-    )
-    data.add_argument("--shape", type=_shape, metavar="N,N,...", help="its shape, where the file has it flat")
-    data.add_argument(
-        "--frames",
-        type=_slice,
-        default=slice(None),
-        metavar="FROM:TO:STEP",
-        help="which frames of it, from 0 on",
-    )
-    data.add_argument(
-        "--subcarriers",
-        type=_slice,
-        default=slice(None),
-        metavar="FROM:TO:STEP",
-        help="which subcarriers of it",
-    )
-    data.add_argument("--position", metavar="NAME", help="known positions in metres, (ues, 3), NaN unknown")
-    data.add_argument("--ue", metavar="NAME", help="who sent each frame; else frame n is of UE n")
-    data.add_argument("--time", metavar="NAME", help="when: whole numbers are ns since 1970, others s")
-    data.add_argument("--skip-bad", action="store_true", help="leave out zero, constant, non-finite frames")
-    array = parser.add_argument_group("the array that measured it")
-    array.add_argument("--carrier-hz", type=float, required=True, metavar="HZ", help="of subcarrier 0")
-    array.add_argument("--subcarrier-spacing-hz", type=float, metavar="HZ")
-    array.add_argument("--array-name", default="lab", metavar="NAME", help="goes into topics (%(default)s)")
-    array.add_argument("--array-position", type=_vector, metavar="X,Y,Z", help="of element 0 (0,0,10)")
-    array.add_argument("--array-axis", type=_direction, metavar="AXIS", help="x, y, -y ... or X,Y,Z (y)")
-    array.add_argument("--array-broadside", type=_direction, metavar="AXIS", help="the side of the UEs")
-    array.add_argument("--element-spacing-m", type=float, metavar="M", help="(half a wavelength)")
-    array.add_argument("--height-m", type=float, metavar="M", help="above the UEs; projects slant ranges")
-    array.add_argument("--light-speed-m-s", type=float, metavar="M_S")
-    out = parser.add_argument_group("what to make of it")
-    out.add_argument("--repeat", type=_count, default=1, metavar="N", help="write each frame N times (1)")
-    out.add_argument("--snr-db", type=float, metavar="X", help="scale to mean |csi|^2 = 1 and add noise")
-    out.add_argument("--seed", type=_seed, default=0, help="of the noise (%(default)s)")
-    out.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="frames/s in all (%(default)g)")
+__all__ = ["add_arguments", "run"]
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Import the capture.
+    """Import the captures.
 
     Raises
     ------
     SetupError
-        If the capture, a variable or an option does not fit.
+        If a capture, a variable or an option does not fit.
     """
-    check_writable(arguments.recording, arguments.force, arguments.capture)
+    for path in arguments.captures:
+        check_writable(arguments.recording, arguments.force, path)
+    _check(arguments)
+    captures = [open_capture(path) for path in arguments.captures]
+    is_wifi = [isinstance(capture, WifiCapture) for capture in captures]
+    if any(is_wifi) != all(is_wifi):
+        raise SetupError("Wi-Fi captures and files of arrays do not go into one recording")
+    read = _wifi if any(is_wifi) else _arrays
+    parts, band, facts = read(captures, arguments)
+    for part in parts:
+        drop_bad(part, arguments.csi or "csi", arguments.strict)
+    if arguments.strict:
+        refuse_losses(parts)
+    array, remarks = geometry(parts, band, arguments)
+    table = table_of(parts, arguments)
+    total = len(table.ue) * arguments.repeat
+    options = {"repeat": arguments.repeat, "snr_db": arguments.snr_db, "seed": arguments.seed}
+    if band.antenna_names:
+        options["antenna_names"] = list(band.antenna_names)
+    note = report.note(parts, captures[0].format, options)
+    with (
+        written_whole(arguments.recording) as file,
+        RecordingWriter(file, array, note=note, facts=facts) as writer,
+        progress("importing", total) as advance,
+    ):
+        for block in table.blocks(array.name, arguments.repeat, arguments.rate, arguments.seed):
+            writer.write(block)
+            advance(len(block))
+    megabytes = arguments.recording.stat().st_size / 1e6
+    print(
+        f"{arguments.recording}: {total} frames of {len(np.unique(table.ue))} UEs, "
+        f"{array.antennas} antennas x {array.subcarriers} subcarriers, {megabytes:.1f} MB, "
+        f"from {captures[0].format}"
+    )
+    lines = report.lines(parts, table, array, facts, remarks, band.antenna_names)
+    width = max(len(name) for name, _ in lines)
+    for name, value in lines:
+        print(f"{name:<{width}}  {value}")
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Options that make no sense, whatever the files hold."""
     if not (math.isfinite(arguments.rate) and arguments.rate > 0):
         raise SetupError(f"--rate {arguments.rate:g}: must be a number > 0")
     if arguments.snr_db is not None and not math.isfinite(arguments.snr_db):
         raise SetupError(f"--snr-db {arguments.snr_db:g}: must be a number")
     if arguments.time and arguments.repeat > 1:
         raise SetupError("--time and --repeat exclude each other: repeated frames have no time of their own")
-    capture = open_capture(arguments.capture)
-    array, table = read_table(arguments, capture)
-    note = {
-        "imported_from": arguments.capture.name,
-        "format": capture.format,
-        "repeat": arguments.repeat,
-        "snr_db": arguments.snr_db,
-        "seed": arguments.seed,
-    }
-    total = len(table.ue) * arguments.repeat
-    with (
-        written_whole(arguments.recording) as part,
-        RecordingWriter(part, array, note=note) as writer,
-        progress("importing", total) as advance,
-    ):
-        for block in table.blocks(array.name, arguments.repeat, arguments.rate, arguments.seed):
-            writer.write(block)
-            advance(len(block))
-    ues = len(np.unique(table.ue))
-    megabytes = arguments.recording.stat().st_size / 1e6
-    print(
-        f"{arguments.recording}: {total} frames of {ues} UEs, {array.antennas} antennas x "
-        f"{array.subcarriers} subcarriers, {megabytes:.1f} MB, from {capture.format}{table.remark}"
-    )
-    return 0
+    if arguments.ue and arguments.ue_mac is not None:
+        raise SetupError("--ue and --ue-mac exclude each other")
+    if arguments.position and arguments.position_from:
+        raise SetupError("--position and --position-from exclude each other")
+    if any(isinstance(place, str) for place in arguments.position) and len(arguments.position) > 1:
+        raise SetupError("--position is one variable, or X,Y,Z once a file")
+    z_m = (arguments.array_position or (0.0, 0.0, 10.0))[2]
+    arguments.plane_m = z_m - (arguments.height_m or z_m)
 
 
-def _vector(text: str) -> tuple[float, ...]:
-    try:
-        x, y, z = (float(part) for part in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text} must be three numbers, as in 0,0,10") from None
-    return x, y, z
+def _wifi(captures: list[Capture], arguments: argparse.Namespace) -> tuple[list[Part], Band, CaptureFacts]:
+    found = [capture for capture in captures if isinstance(capture, WifiCapture)]
+    if arguments.axes and arguments.axes.split(",") != list(found[0].axes):
+        raise SetupError(f"--axes {arguments.axes}: those of {found[0].format} are {','.join(found[0].axes)}")
+    if arguments.conjugate or arguments.fftshift or arguments.take or arguments.shape:
+        raise SetupError("--conjugate, --fftshift, --take, --shape are for arrays, not for Wi-Fi")
+    kind, others = wifi.chosen(found, arguments)
+    power = wifi.power_of(found, kind, arguments.power)
+    read = [wifi.part_of(capture, kind, power, arguments) for capture in found if wifi.has(capture, kind)]
+    parts = [part for part, _ in read]
+    parts[-1].remarks += others
+    _place(parts, arguments)
+    for part in parts:
+        part.take(np.arange(len(part.ue))[arguments.frames])
+        if not len(part.ue):
+            raise SetupError(f"{part.source}: --frames: nothing is left")
+    senders: dict[int, str] = {}
+    if arguments.ue in (None, "ue") and any(capture.log.has_senders for capture in found):
+        ues = np.unique(np.concatenate([part.ue for part in parts])).tolist()
+        senders = {ue: mac(ue) if ue or _sent_by_zero(found) else "not said" for ue in ues}
+    elif arguments.ue_mac is not None:
+        senders = {arguments.ue_mac: mac(arguments.ue_mac)}
+    facts = CaptureFacts(arguments.phase or "random", arguments.delay or "relative", power, senders)
+    return parts, read[0][1], facts
 
 
-def _direction(text: str) -> str | tuple[float, ...]:
-    return _vector(text) if "," in text else text
+def _arrays(captures: list[Capture], arguments: argparse.Namespace) -> tuple[list[Part], Band, CaptureFacts]:
+    if arguments.power not in ("auto", "raw"):
+        raise SetupError("--power rssi and agc are for Wi-Fi captures; arrays say nothing of power")
+    read = [arrays.part_of(capture, arguments) for capture in captures]
+    parts = [part for part, _ in read]
+    shapes = {part.csi.shape[1:]: part.source for part in parts}
+    if len(shapes) > 1:
+        told = ", ".join(f"{source.name}: {shape[0]} x {shape[1]}" for shape, source in shapes.items())
+        raise SetupError(f"the files differ in antennas x subcarriers ({told})")
+    _place(parts, arguments)
+    facts = CaptureFacts(arguments.phase or "steady", arguments.delay or "absolute")
+    return parts, read[0][1], facts
 
 
-def _shape(text: str) -> tuple[int, ...]:
-    return tuple(_count(part) for part in text.split(","))
+def _place(parts: list[Part], arguments: argparse.Namespace) -> None:
+    """Give each part the place that the options say."""
+    sources = [part.source for part in parts]
+    if arguments.position_from:
+        given = places.of_table(arguments.position_from, sources, arguments.plane_m)
+    elif arguments.position and not isinstance(arguments.position[0], str):
+        given = arguments.position * len(parts) if len(arguments.position) == 1 else arguments.position
+        if len(given) != len(parts):
+            raise SetupError(f"--position is given {len(given)} times for {len(parts)} files")
+    else:
+        if arguments.position and isinstance(parts[0].source, Path) and parts[0].position is None:
+            raise SetupError(
+                f"--position {arguments.position[0]}: must be X,Y,Z; the file holds no positions"
+            )
+        return
+    for part, place in zip(parts, given, strict=True):
+        part.position = places.repeated(place, len(part.ue))
 
 
-def _slice(text: str) -> slice:
-    parts = text.split(":")
-    if (
-        not 1 < len(parts) < 4
-        or not all(part.isdecimal() or not part for part in parts)
-        or parts[2:] == ["0"]
-    ):
-        raise argparse.ArgumentTypeError(f"{text} must look like 0:1000 or 0:1000:10")
-    return slice(*(int(part) if part else None for part in parts))
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text} must be a whole number >= 1")
-    return int(text)
-
-
-def _seed(text: str) -> int:
-    return 0 if text == "0" else _count(text)
+def _sent_by_zero(captures: list[WifiCapture]) -> bool:
+    """Whether 00:00:00:00:00:00 is an address that stands in the file: ESP32 logs always say one."""
+    return all(capture.format.startswith("ESP32") for capture in captures)

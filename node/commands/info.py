@@ -14,9 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.files.recording import RecordingReader
 from chachart.node.files.recording_totals import RecordingSummary
+
+MOST_SENDERS = 8
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,6 +58,7 @@ def as_json(summary: RecordingSummary) -> dict[str, Any]:
         "closed_properly": summary.closed_properly,
         "damaged": dict(summary.damaged),
         "array": summary.array.as_dict(),
+        "facts": summary.facts.as_dict(),
         "note": dict(summary.note),
     }
 
@@ -91,6 +95,7 @@ def lines(summary: RecordingSummary) -> Iterator[tuple[str, str]]:
         turned = np.angle(np.exp(1j * np.array(array.calibration.antenna_phase_rad)))
         phase = np.degrees(np.sqrt(np.mean(turned**2)))
         yield "calibration", f"antenna phases {phase:.1f} degrees rms, {moved} antennas on others' inputs"
+    yield from _facts(summary.facts)
     for name, value in summary.note.items():
         yield name.replace("_", " "), value if isinstance(value, str) else json.dumps(value)
 
@@ -100,6 +105,19 @@ def _tones(array: ArrayGeometry) -> str:
     if array.tones is None:
         return ""
     return f"tones {array.tones[0]} to {array.tones[-1]} of a grid "
+
+
+def _facts(facts: CaptureFacts) -> Iterator[tuple[str, str]]:
+    """What the CSI means, where it is not that of a coherent array with a clock."""
+    if facts.phase == "random":
+        yield "phase", "random from frame to frame: frames are not added up coherently"
+    if facts.delay == "relative":
+        yield "delay", "relative: no distance comes from it"
+    if facts.power != "raw":
+        yield "power", "scaled to RSSI" if facts.power == "rssi" else "the receiver's gain is undone"
+    if facts.senders:
+        names = [f"{name} (UE {ue})" for ue, name in list(facts.senders.items())[:MOST_SENDERS]]
+        yield "senders", ", ".join(names) + (", ..." if len(facts.senders) > MOST_SENDERS else "")
 
 
 def _utc(time_ns: int) -> str:

@@ -9,7 +9,7 @@ from chachart.node.data.errors import SetupError
 EXTRAS = {
     "serial": {"serial": "pyserial", "cobs": "cobs"},
     "can": {"can": "python-can", "isotp": "can-isotp"},
-    "formats": {"h5py": "h5py"},
+    "formats": {"h5py": "h5py", "google_crc32c": "google-crc32c"},
     "yaml": {"yaml": "pyyaml"},
     "patterns": {"quadriga_lib": "quadriga-lib"},
     "parquet": {"pyarrow": "pyarrow"},

@@ -3,7 +3,8 @@
 The layout, for whoever reads such a file with another tool:
 
 - A Metadata record `chachart.csi` stands at the start, so that it survives a kill: `format` ("1"), `array`
-  (JSON, the fields of `ArrayGeometry`, calibration included) and `note` (JSON, what the writer had to say).
+  (JSON, the fields of `ArrayGeometry`, calibration included), `note` (JSON, what the writer had to say) and
+  `facts` (JSON, what phase and delay mean and who the UEs are; older recordings have none).
 - Chunks of 256 KiB without compression; CSI is noise to a compressor. Each goes to the operating system when
   it is full: a writer that is killed loses its last chunk and nothing else.
 - One channel `csi`, one message a block of up to 64 frames: a msgpack map with the fields of a protocol 1 CSI
@@ -27,6 +28,7 @@ import numpy as np
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.files.chart_log import is_chart_log
 from chachart.node.files.mcap_chunks import ChunkSpan, DamagedChunk, FileIndex, read_index, read_messages
@@ -58,6 +60,8 @@ class RecordingWriter:
         The array that measured the CSI; kept in the file, so that the recording alone is enough to replay.
     note
         Anything else worth keeping, plain JSON values.
+    facts
+        What phase and delay mean and who the UEs are; not given: a coherent array with a clock.
     chunk_bytes
         A chunk goes to the operating system when it holds so much.
 
@@ -73,6 +77,7 @@ class RecordingWriter:
         array: ArrayGeometry,
         *,
         note: Mapping[str, Any] | None = None,
+        facts: CaptureFacts | None = None,
         chunk_bytes: int = 256 * 1024,
     ) -> None:
         self.path = Path(path)
@@ -90,6 +95,7 @@ class RecordingWriter:
         try:
             self._writer = McapWriter(self._file, "csi", "msgpack", "chachart.csi", _SCHEMA)
             head = {"format": FORMAT, "array": json.dumps(array.as_dict()), "note": json.dumps(note or {})}
+            head["facts"] = json.dumps((facts or CaptureFacts()).as_dict())
             self._writer.add_metadata(_HEAD, head)
         except OSError as error:
             self._file.close()
@@ -188,8 +194,8 @@ class RecordingReader:
 
     Attributes
     ----------
-    array, note
-        The array and the note in the file.
+    array, note, facts
+        The array, the note, and the facts in the file.
     damaged
         Chunks and messages that `blocks` left out, by reason.
 
@@ -207,9 +213,9 @@ class RecordingReader:
             raise SetupError(f"{path} is a chart log and holds no CSI; a recording is needed")
         self._index: FileIndex = read_index(self.path)
         self._totals = Totals.parse(self._index.metadata.get(_TOTALS, {}))
-        self.array, self.note = self._head()
+        self.array, self.note, self.facts = self._head()
 
-    def _head(self) -> tuple[ArrayGeometry, dict[str, Any]]:
+    def _head(self) -> tuple[ArrayGeometry, dict[str, Any], CaptureFacts]:
         head = self._index.metadata.get(_HEAD)
         if head is None:
             what = "holds no CSI" if self._index.closed else "was cut off before its description of the array"
@@ -218,7 +224,8 @@ class RecordingReader:
             raise SetupError(f"{self.path} has recording format {head.get('format')}; this is for {FORMAT}")
         try:
             array, note = json.loads(head["array"]), json.loads(head["note"])
-            return ArrayGeometry.from_dict(array), dict(note)
+            facts = CaptureFacts.from_dict(json.loads(head.get("facts", "{}")))
+            return ArrayGeometry.from_dict(array), dict(note), facts
         except (KeyError, ValueError, TypeError, RecursionError) as error:
             raise SetupError(f"{self.path} does not describe its array: {error}") from None
 
@@ -257,6 +264,7 @@ class RecordingReader:
         return RecordingSummary(
             array=self.array,
             note=self.note,
+            facts=self.facts,
             frames=self._totals.frames,
             ues=self._totals.ues,
             start_ns=self._totals.start_ns,

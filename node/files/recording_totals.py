@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from chachart.node.data.csi import CsiBlock
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.files.mcap_chunks import ChunkSpan
 
@@ -74,6 +75,7 @@ class RecordingSummary:
 
     array: ArrayGeometry
     note: Mapping[str, Any]
+    facts: CaptureFacts
     frames: int
     ues: int
     start_ns: int | None

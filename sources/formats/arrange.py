@@ -2,23 +2,59 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-AXES = ("ue", "antenna", "subcarrier", "iq")
-"""What an axis of CSI can be; `iq` has length 2 and holds real and imaginary part."""
+from chachart.sources.formats.clock import unwrapped
 
-_ORDER = ("ue", "antenna", "subcarrier")
+AXES = ("ue", "frame", "antenna", "subcarrier", "iq")
+"""What an axis of CSI can be; `frame` counts those of each UE, `iq` holds real and imaginary part."""
+
+_ORDER = ("ue", "frame", "antenna", "subcarrier")
+
+
+def taken(csi: NDArray[Any], axes: Sequence[str], cuts: Mapping[str, int]) -> tuple[NDArray[Any], list[str]]:
+    """CSI cut at one index of each axis in `cuts`, and the names of the axes that are left.
+
+    >>> taken(np.zeros((2, 3, 4)), ["rx", "ue", "subcarrier"], {"rx": 1})[1]
+    ['ue', 'subcarrier']
+
+    Raises
+    ------
+    ValueError
+        If an axis is not there, or is shorter than that.
+    """
+    rest = list(axes)
+    for name, index in cuts.items():
+        if name not in rest:
+            raise ValueError(f'there is no axis "{name}" to take {index} of, only {",".join(rest)}')
+        place = rest.index(name)
+        length = csi.shape[place] if place < csi.ndim else 1
+        if index >= length:
+            raise ValueError(f'axis "{name}" has {length} entries, there is no {index}')
+        csi = np.take(csi, index, place) if place < csi.ndim else csi
+        rest.pop(place)
+    for name in [name for name in rest if name not in AXES]:
+        place = rest.index(name)
+        if place >= csi.ndim or csi.shape[place] == 1:
+            csi = csi if place >= csi.ndim else np.take(csi, 0, place)
+            rest.pop(place)
+        elif csi.ndim <= len(axes):
+            known = ", ".join(AXES)
+            raise ValueError(
+                f'axes are {known}, there is no "{name}": --take {name}=0 picks one of {csi.shape[place]}'
+            )
+    return csi, rest
 
 
 def frames(csi: NDArray[Any], axes: Sequence[str]) -> NDArray[np.complex64]:
     """CSI whose axes are named, as complex64 (frames, antennas, subcarriers).
 
-    A missing axis means one: one UE, one antenna, one subcarrier. Trailing axes that `axes` names beyond
-    those of `csi` mean one too, since MATLAB drops them.
+    The frames of a UE follow one another. A missing axis means one: one UE, one antenna, one subcarrier.
+    Trailing axes that `axes` names beyond those of `csi` mean one too, since MATLAB drops them.
 
     Raises
     ------
@@ -44,7 +80,8 @@ def frames(csi: NDArray[Any], axes: Sequence[str]) -> NDArray[np.complex64]:
     ordered = np.transpose(csi, [names.index(name) for name in present])
     lengths = dict(zip(present, ordered.shape, strict=True))
     with np.errstate(over="ignore"):
-        return np.ascontiguousarray(ordered, np.complex64).reshape([lengths.get(n, 1) for n in _ORDER])
+        ue, frame, antenna, subcarrier = (lengths.get(name, 1) for name in _ORDER)
+        return np.ascontiguousarray(ordered, np.complex64).reshape(ue * frame, antenna, subcarrier)
 
 
 def defects(csi: NDArray[np.complex64]) -> NDArray[np.str_]:
@@ -77,14 +114,18 @@ def positions(values: NDArray[Any], count: int, z_m: float) -> NDArray[np.float3
     return full
 
 
-def column(values: NDArray[Any], count: int) -> NDArray[Any]:
-    """One value a frame, as (count,).
+def column(values: NDArray[Any], count: int, each: int = 1) -> NDArray[Any]:
+    """One value a frame, as (count,); one a UE where each UE has `each` frames one after another.
 
     Raises
     ------
     ValueError
         If there are not so many.
     """
+    if each > 1 and values.size == count // each:
+        values = np.repeat(values.ravel(), each)
+    if each > 1 and values.size == count:
+        values = values.ravel()
     if values.size != count or max(values.shape, default=1) != count:
         raise ValueError(f"must have one value for each of {count} frames, not shape {values.shape}")
     flat: NDArray[Any] = values.reshape(count)
@@ -120,21 +161,37 @@ def occurrence(ue: NDArray[np.uint64]) -> NDArray[np.int64]:
     return ranks
 
 
-def times_ns(values: NDArray[Any]) -> NDArray[np.int64]:
-    """Times as int64 nanoseconds: whole numbers are nanoseconds, others seconds.
+TIME_UNITS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+"""Nanoseconds in a unit of time."""
+
+
+def times_ns(values: NDArray[Any], unit: str | None = None) -> NDArray[np.int64]:
+    """Times as int64 nanoseconds: in `unit` if given, else whole numbers are nanoseconds, others seconds.
+
+    Unsigned numbers of less than 64 bits are a counter, which wraps around; a step back stays a step back.
 
     Raises
     ------
     ValueError
-        If they are not finite numbers.
+        If they are not finite numbers, or too large.
     """
     if values.dtype.kind in "iu":
-        return values.astype(np.int64)
-    if values.dtype.kind != "f" or not np.isfinite(values).all() or np.abs(values).max() > 9e9:
+        tick = TIME_UNITS[unit or "ns"]
+        if values.dtype.kind == "u" and values.dtype.itemsize < 8 and len(values):
+            values = unwrapped(values, 8 * values.dtype.itemsize)
+        if len(values) and max(abs(int(values.min())), abs(int(values.max()))) > (1 << 63) // tick - 1:
+            raise ValueError(f"reach to {values.max()} {unit or 'ns'}, beyond what 64 bits of ns hold")
+        return values.astype(np.int64) * tick
+    scale = TIME_UNITS[unit or "s"]
+    if (
+        values.dtype.kind != "f"
+        or not np.isfinite(values).all()
+        or np.abs(values).max() * (scale / 1e9) > 9e9
+    ):
         raise ValueError(f"must be nanoseconds (whole numbers) or seconds, not {values.dtype} {values[0]}")
-    seconds = np.floor(values)
-    times: NDArray[np.int64] = seconds.astype(np.int64) * 1_000_000_000
-    times += np.rint((values - seconds) * 1e9).astype(np.int64)
+    ticks = np.floor(values)
+    times: NDArray[np.int64] = ticks.astype(np.int64) * scale
+    times += np.rint((values - ticks) * scale).astype(np.int64)
     return times
 
 

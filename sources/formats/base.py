@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +39,8 @@ class Capture(ABC):
         What the axes of its CSI are where nobody says otherwise.
     variables
         What it holds, by name.
+    left_out
+        How many frames of it cannot be read, by reason.
     """
 
     format: str
@@ -46,6 +49,7 @@ class Capture(ABC):
     def __init__(self, path: Path, variables: Mapping[str, Variable]) -> None:
         self.path = path
         self.variables = dict(variables)
+        self.left_out: Counter[str] = Counter()
 
     def read(self, name: str) -> NDArray[Any]:
         """The variable called `name`.

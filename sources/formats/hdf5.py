@@ -1,8 +1,8 @@
 """HDF5, and MATLAB v7.3, which is HDF5 inside, through h5py.
 
 Variables are datasets by their path, as in `measurement/csi`. Complex numbers are pairs named real and imag
-(or r and i, re and im). MATLAB writes arrays with the axes turned around; here they have MATLAB's order
-again.
+(or real and imaginary, r and i, re and im). MATLAB writes arrays with the axes turned around; here they have
+MATLAB's order again.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ NAME = "HDF5 or MATLAB v7.3 .mat"
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _OFFSETS = (0, 512, 1024, 2048)
 _MATLAB = b"MATLAB 7.3 MAT-file"
-_PAIRS = ({"real", "imag"}, {"r", "i"}, {"re", "im"})
+_PAIRS = ({"real", "imag"}, {"real", "imaginary"}, {"r", "i"}, {"re", "im"})
 _DAMAGE = (OSError, RuntimeError, ValueError, KeyError, TypeError, AttributeError, MemoryError)
 _DENSEST = 1100
 """Deflate makes nothing smaller than this; a file that claims more is not to be believed."""

@@ -3,52 +3,30 @@
 A file is a header of 128 bytes and elements, each a tag (type and length) and data; a compressed element
 holds another one. An array is an element of elements: flags, dimensions, name, real and perhaps imaginary
 part. Every length is checked against the bytes there are, which scipy's reader does not do.
+
+A file of cells or structs with CSI, as read_bf_file of the Intel 5300 tool returns them, is a Wi-Fi capture.
 """
 
 from __future__ import annotations
 
-import math
-import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.data.errors import SetupError
-from chachart.sources.formats.base import Capture, Variable
+from chachart.sources.formats.base import Capture
+from chachart.sources.formats.matlab_elements import HEADER_BYTES, Array, array_in, matrices, order_of
+from chachart.sources.formats.wifi.bf_file import CELLS, frames_in, read_cells
+from chachart.sources.formats.wifi.capture import WifiCapture
 
 NAME = "MATLAB v5 .mat"
-
-_HEADER_BYTES = 128
-_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-"""Types of elements that hold numbers."""
-_MATRIX, _COMPRESSED = 14, 15
-_CLASSES = {
-    6: "f8",
-    7: "f4",
-    8: "i1",
-    9: "u1",
-    10: "i2",
-    11: "u2",
-    12: "i4",
-    13: "u4",
-    14: "i8",
-    15: "u8",
-}
-"""Classes of arrays that hold numbers."""
-_COMPLEX = 0x08
-_DENSEST = 1100
-"""Deflate makes nothing smaller than this."""
-
-Parts = list[tuple[int, memoryview]]
 
 
 def why_not(head: bytes) -> str | None:
     """Why a file that begins with `head` is not of this format; None if it is."""
-    if len(head) < _HEADER_BYTES or head[126:128] not in (b"IM", b"MI"):
+    if len(head) < HEADER_BYTES or head[126:128] not in (b"IM", b"MI"):
         return "it has no MATLAB header"
     major = head[125] if head[126:128] == b"IM" else head[124]
     return None if major == 1 else f"its MATLAB header says version {major}, not 1"
@@ -63,7 +41,10 @@ def open_capture(path: Path) -> Capture:
         If the file is damaged, cut short, or has none.
     """
     try:
-        arrays = {array.name: array for array in _arrays(path.read_bytes())}
+        data = path.read_bytes()
+        arrays = {array.name: array for array in _arrays(data)}
+        if not arrays and frames_in(data):
+            return WifiCapture(path, CELLS, read_cells)
     except (ValueError, OSError) as error:
         raise SetupError(f"{path} is damaged or cut short: {error}") from None
     if not arrays:
@@ -71,46 +52,12 @@ def open_capture(path: Path) -> Capture:
     return MatlabCapture(path, arrays)
 
 
-@dataclass(frozen=True, slots=True)
-class _Array:
-    """An array that has been found but not yet put together; order is that of its bytes."""
-
-    name: str
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
-    parts: Parts
-    order: str
-
-    def read(self) -> NDArray[Any]:
-        """The array."""
-        planes = [self._plane(kind, data) for kind, data in self.parts]
-        if len(planes) == 1:
-            return planes[0]
-        whole = np.empty(self.shape, np.complex64 if self.dtype.name == "float32" else np.complex128)
-        whole.real, whole.imag = planes
-        return whole
-
-    def variable(self) -> Variable:
-        """What there is to say of it."""
-        return Variable(self.shape, f"complex {self.dtype}" if len(self.parts) > 1 else str(self.dtype))
-
-    def _plane(self, kind: int, data: memoryview) -> NDArray[Any]:
-        if kind not in _TYPES:
-            raise ValueError(f'"{self.name}" holds elements of type {kind}')
-        stored = np.dtype(self.order + _TYPES[kind])
-        if len(data) != math.prod(self.shape) * stored.itemsize:
-            raise ValueError(f'"{self.name}" is {self.shape}, but holds {len(data)} bytes of {stored}')
-        with np.errstate(invalid="ignore"):
-            values = np.frombuffer(data, stored).astype(self.dtype)
-        return values.reshape(self.shape, order="F")
-
-
 class MatlabCapture(Capture):
     """An opened `.mat` file."""
 
     format = NAME
 
-    def __init__(self, path: Path, arrays: dict[str, _Array]) -> None:
+    def __init__(self, path: Path, arrays: dict[str, Array]) -> None:
         super().__init__(path, {name: array.variable() for name, array in arrays.items()})
         self._arrays = arrays
 
@@ -121,64 +68,8 @@ class MatlabCapture(Capture):
             raise self.damaged(error) from None
 
 
-def _arrays(data: bytes) -> Iterator[_Array]:
-    order = "<" if data[126:128] == b"IM" else ">"
-    for kind, element in _elements(memoryview(data)[_HEADER_BYTES:], order):
-        if kind == _COMPRESSED:
-            kind, element = next(_elements(_inflated(element, order), order), (0, element))
-        if kind == _MATRIX and (array := _array(element, order)) is not None:
+def _arrays(data: bytes) -> Iterator[Array]:
+    order = order_of(data)
+    for element in matrices(data):
+        if (array := array_in(element, order)) is not None:
             yield array
-
-
-def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Type and data of each element; a short one has both tag and data in eight bytes."""
-    at = 0
-    while at < len(data):
-        if len(data) - at < 8:
-            raise ValueError("it ends within a tag")
-        kind, length = (int(n) for n in np.frombuffer(data[at : at + 8], f"{order}u4"))
-        start = at + 8
-        if kind >> 16:
-            kind, length, start = kind & 0xFFFF, kind >> 16, at + 4
-        end = start + length
-        if end > len(data) or (start == at + 4 and length > 4):
-            raise ValueError(f"an element of {length} bytes does not fit")
-        yield kind, data[start:end]
-        # Elements begin at multiples of eight bytes; compressed ones follow each other without a gap.
-        at = end if kind == _COMPRESSED else start + 4 if start == at + 4 else -(-end // 8) * 8
-
-
-def _inflated(data: memoryview, order: str) -> memoryview:
-    inflate = zlib.decompressobj()
-    try:
-        tag = inflate.decompress(data, 8)
-        length = int(np.frombuffer(tag, f"{order}u4")[1]) if len(tag) == 8 else 0
-        if length > _DENSEST * len(data):
-            raise ValueError(f"{len(data)} compressed bytes claim to be {length}")
-        body = inflate.decompress(inflate.unconsumed_tail, length) if length else b""
-        if len(body) == length:
-            inflate.decompress(inflate.unconsumed_tail, 1)
-    except zlib.error as error:
-        raise ValueError(str(error)) from None
-    if not inflate.eof:
-        raise ValueError("compressed data end too early or too late")
-    return memoryview(tag + body)
-
-
-def _array(data: memoryview, order: str) -> _Array | None:
-    """The array in a matrix element; None if it is not of numbers (text, say) or nameless."""
-    parts = list(_elements(data, order))
-    if not parts or len(parts[0][1]) != 8:
-        raise ValueError("an array without flags")
-    flags = int(np.frombuffer(parts[0][1], f"{order}u4")[0])
-    if flags & 0xFF not in _CLASSES:
-        return None
-    planes = 2 if flags >> 8 & _COMPLEX else 1
-    if len(parts) != 3 + planes or len(parts[1][1]) % 4:
-        raise ValueError(f"an array of {len(parts)} parts")
-    shape = tuple(np.frombuffer(parts[1][1], f"{order}i4").tolist())
-    name = bytes(parts[2][1]).decode("ascii", "replace")
-    if min(shape, default=0) < 0:
-        raise ValueError(f'"{name}" has shape {shape}')
-    dtype = np.dtype(_CLASSES[flags & 0xFF])
-    return _Array(name, shape, dtype, parts[3:], order) if name else None

@@ -8,15 +8,14 @@ subcarriers, 2), to be read with --axes ue,antenna,subcarrier,iq, and `pos-tachy
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from chachart.node.data.extras import missing, require
 from chachart.sources.formats.base import Capture, Variable
-from chachart.sources.formats.crc32c import crc32c, masked
 from chachart.sources.formats.tfexample import read_example
 
 NAME = "TFRecord"
@@ -29,8 +28,10 @@ def why_not(head: bytes) -> str | None:
     """Why a file that begins with `head` is not of this format; None if it is."""
     if len(head) < _HEAD.size:
         return "it is too short for a record"
+    if lacking := missing("formats"):
+        return lacking[0]
     _, crc = _HEAD.unpack_from(head)
-    return None if masked(crc32c(head[:8])) == crc else "its first record's length has another checksum"
+    return None if masked_crc(head[:8]) == crc else "its first record's length has another checksum"
 
 
 def open_capture(path: Path) -> Capture:
@@ -39,9 +40,18 @@ def open_capture(path: Path) -> Capture:
     Raises
     ------
     SetupError
-        If the file is damaged or cut short.
+        If google-crc32c is not installed, or the file is damaged or cut short.
     """
+    require("formats", "TFRecord files:")
     return TfrecordCapture(path)
+
+
+def masked_crc(data: bytes) -> int:
+    """The CRC-32C of some bytes, masked as TFRecord files have it."""
+    import google_crc32c
+
+    crc = int(google_crc32c.value(data))
+    return ((crc >> 15 | crc << 17) + 0xA282EAD8) & 0xFFFFFFFF
 
 
 class TfrecordCapture(Capture):
@@ -53,11 +63,13 @@ class TfrecordCapture(Capture):
         super().__init__(path, {})
         try:
             with path.open("rb") as file:
-                self._records = list(_records(file, path.stat().st_size))
+                self._records, cut = _records(file, path.stat().st_size)
                 first = self._features(file, 0)
         except (ValueError, OSError) as error:
             raise self.damaged(error) from None
         count = len(self._records)
+        if cut:
+            self.left_out["cut short"] = 1
         self.variables = {name: Variable((count, *v.shape), str(v.dtype)) for name, v in first.items()}
 
     def _read(self, name: str) -> NDArray[Any]:
@@ -83,29 +95,32 @@ class TfrecordCapture(Capture):
     def _features(self, file: BinaryIO, n: int) -> dict[str, NDArray[Any]]:
         offset, length = self._records[n]
         file.seek(offset)
-        data = memoryview(file.read(length + _CRC_BYTES))
-        if masked(crc32c(data[:length])) != int.from_bytes(data[length:], "little"):
+        data = file.read(length)
+        if masked_crc(data) != int.from_bytes(file.read(_CRC_BYTES), "little"):
             raise ValueError(f"record {n} has another checksum")
         try:
-            return read_example(data[:length])
+            return read_example(memoryview(data))
         except (ValueError, struct.error) as error:
             raise ValueError(f"record {n} is no tf.train.Example: {error}") from None
 
 
-def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int]]:
-    """Offset and length of each record's data, which are checked against the size of the file."""
-    offset = n = 0
+def _records(file: BinaryIO, size: int) -> tuple[list[tuple[int, int]], bool]:
+    """Offset and length of the data of each record that is whole, and whether the last one is cut short."""
+    found: list[tuple[int, int]] = []
+    offset = 0
     while offset < size:
         file.seek(offset)
         head = file.read(_HEAD.size)
         if len(head) < _HEAD.size:
-            raise ValueError(f"it ends within record {n}")
+            break
         length, crc = _HEAD.unpack(head)
-        if masked(crc32c(head[:8])) != crc:
-            raise ValueError(f"the length of record {n} has another checksum")
+        if masked_crc(head[:8]) != crc:
+            raise ValueError(f"the length of record {len(found)} has another checksum")
         data = offset + _HEAD.size
         offset = data + length + _CRC_BYTES
         if offset > size:
-            raise ValueError(f"it ends within record {n}")
-        yield data, length
-        n += 1
+            break
+        found.append((data, length))
+    if not found:
+        raise ValueError("it ends within record 0")
+    return found, offset != size

@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 from scipy.io import savemat
 
-from chachart.sources.formats.crc32c import crc32c, masked
+from chachart.sources.formats.tfrecord import masked_crc
 
 CSI = (np.arange(24) + 1j).astype(np.complex64).reshape(4, 3, 2)
 POSITION = np.arange(12, dtype=np.float32).reshape(4, 3)
@@ -46,7 +46,7 @@ def example(features: dict[str, bytes]) -> bytes:
 
 def record(data: bytes) -> bytes:
     length = struct.pack("<Q", len(data))
-    return length + struct.pack("<I", masked(crc32c(length))) + data + struct.pack("<I", masked(crc32c(data)))
+    return length + struct.pack("<I", masked_crc(length)) + data + struct.pack("<I", masked_crc(data))
 
 
 def dichasus(csi: np.ndarray, position: np.ndarray) -> bytes:

@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+import bz2
+import gzip
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from capture_files import dichasus
+from wifi_captures import integers, intel5300, nexmon
 
 from chachart.node.commands.main import main
 from chachart.node.data.csi import CsiBlock
@@ -97,11 +100,18 @@ def bad_frame(value: complex, frame: int) -> np.ndarray:
         (["--axes", "ue,antenna"], {"H": CSI}, ["--csi H: 3 axes", "H: complex128 (100, 4, 8)"]),
         (["--axes", "ue,antena,subcarrier"], {"H": CSI}, ['there is no "antena"']),
         ([], {"H": CSI.real}, ["complex values are needed"]),
-        ([], {"H": bad_frame(0, 3)}, ['frame 3 of "H" is all zero', "--skip-bad"]),
-        ([], {"H": bad_frame(1 + 1j, 99)}, ['frame 99 of "H" is constant']),
-        ([], {"H": bad_frame(np.nan, 0)}, ['frame 0 of "H" is not finite']),
-        ([], {"H": CSI[:2] * 0}, ['frame 0 of "H" is all zero, as are 1 others']),
-        (["--skip-bad"], {"H": CSI * 0}, ["every frame"]),
+        (["--strict"], {"H": bad_frame(0, 3)}, ['frame 3 of "H" is all zero', "--strict"]),
+        (["--strict"], {"H": bad_frame(1 + 1j, 99)}, ['frame 99 of "H" is constant']),
+        (["--strict"], {"H": bad_frame(np.nan, 0)}, ['frame 0 of "H" is not finite']),
+        (["--strict"], {"H": CSI[:2] * 0}, ['frame 0 of "H" is all zero, as are 1 others']),
+        ([], {"H": CSI * 0}, ["every frame"]),
+        (["--take", "rx=1"], {"H": CSI}, ['no axis "rx"']),
+        (["--axes", "rx,antenna,subcarrier"], {"H": CSI}, ["--take rx=0"]),
+        (["--csi", "H,H"], {"H": CSI}, ["is complex128"]),
+        (["--tones", "1:3"], {"H": CSI}, ["are 3 numbers for 8 subcarriers"]),
+        (["--ue", "7", "--ue-mac", "02:00:00:00:00:01"], {"H": CSI}, ["exclude each other"]),
+        (["--position", "1,2,3", "--position", "1,2,4"], {"H": CSI}, ["given 2 times for 1 files"]),
+        (["--power", "rssi"], {"H": CSI}, ["--power rssi"]),
         (["--ue", "t"], {"H": CSI, "t": CSI[:, 0, 0].real}, ["--ue t: must be whole numbers"]),
         (["--time", "t"], {"H": CSI, "t": np.zeros(3)}, ["--time t: must have one value for each of 100"]),
         (["--time", "t", "--repeat", "2"], {"H": CSI, "t": np.zeros(100)}, ["exclude each other"]),
@@ -124,9 +134,11 @@ def test_what_does_not_fit_is_told_and_nothing_is_left_behind(
 
 
 def test_bad_frames_can_be_left_out(run: Run, tmp_path: Path) -> None:
-    status, said = run("--skip-bad", H=bad_frame(0, 3))
-    assert (status, "1 bad frames left out" in said) == (0, True)
+    status, said = run(H=bad_frame(0, 3))
+    assert (status, "99 of 100 frames" in said, "1 (all zero)" in said) == (0, True, True)
     assert 3 not in read(tmp_path).ue
+    assert RecordingReader(tmp_path / "out.mcap").note["left_out"] == {"all zero": 1}
+    assert run("--skip-bad", "--force", H=bad_frame(0, 3))[0] == 0, "as it was called once"
 
 
 def test_a_recording_is_only_replaced_when_asked(run: Run, tmp_path: Path) -> None:
@@ -171,7 +183,7 @@ def test_some_frames_and_subcarriers_of_a_flat_array(tmp_path: Path) -> None:
 
 
 def test_frames_are_numbered_as_in_the_file(run: Run) -> None:
-    status, said = run("--frames", "90:100:3", H=bad_frame(0, 96))
+    status, said = run("--strict", "--frames", "90:100:3", H=bad_frame(0, 96))
     assert (status, 'frame 96 of "H" is all zero' in said) == (78, True)
     status, said = run("--frames", "200:", H=CSI)
     assert (status, "nothing is left of shape (100, 4, 8)" in said) == (78, True)
@@ -206,3 +218,123 @@ def test_the_capture_is_never_replaced(tmp_path: Path, capsys: pytest.CaptureFix
     )
     assert "is the file that is read" in capsys.readouterr().err
     assert source.read_bytes() == before
+
+
+def test_real_and_imaginary_part_in_two_variables_and_the_conjugate(run: Run, tmp_path: Path) -> None:
+    assert run("--csi", "re,im", re=CSI.real, im=CSI.imag)[0] == 0
+    np.testing.assert_array_equal(read(tmp_path).csi, CSI.astype(np.complex64))
+    assert run("--conjugate", "--force", H=CSI)[0] == 0
+    np.testing.assert_array_equal(read(tmp_path).csi, CSI.conj().astype(np.complex64))
+
+
+def test_subcarriers_in_the_order_of_the_fft(run: Run, tmp_path: Path) -> None:
+    assert run("--fftshift", H=CSI)[0] == 0
+    np.testing.assert_array_equal(read(tmp_path).csi, np.fft.fftshift(CSI, axes=2).astype(np.complex64))
+    assert RecordingReader(tmp_path / "out.mcap").array.tones == tuple(range(-4, 4))
+
+
+def test_numbers_of_the_subcarriers(run: Run, tmp_path: Path) -> None:
+    assert run("--tones=-4:-1,1:4", H=CSI)[0] == 0
+    assert RecordingReader(tmp_path / "out.mcap").array.tones == (-4, -3, -2, -1, 1, 2, 3, 4)
+    assert run("--tones=-4:-1,1:4", "--subcarriers", "2:6", "--force", H=CSI)[0] == 0
+    array = RecordingReader(tmp_path / "out.mcap").array
+    assert (array.tones, array.carrier_hz) == ((-2, -1, 1, 2), 2e9)
+
+
+def test_axes_of_other_simulators_are_cut_by_name(run: Run, tmp_path: Path) -> None:
+    six = np.random.default_rng(5).standard_normal((2, 4, 3, 1, 5, 8, 2)).view(np.complex128)[..., 0]
+    axes = "rx,antenna,ue,tx,frame,subcarrier"
+    assert run("--axes", axes, "--take", "rx=1", H=six)[0] == 0
+    block = read(tmp_path)
+    expected = six[1, :, :, 0].transpose(1, 2, 0, 3).reshape(15, 4, 8).astype(np.complex64)
+    assert np.bincount(block.ue.astype(int)).tolist() == [5, 5, 5]
+    for ue in range(3):
+        np.testing.assert_array_equal(block.csi[block.ue == ue], expected[5 * ue : 5 * ue + 5])
+
+
+def test_a_clock_in_other_units_that_wraps(run: Run, tmp_path: Path) -> None:
+    clock = (2**32 - 5000 + 100 * np.arange(100)).astype(np.uint32)
+    assert run("--time", "t", "--time-unit", "us", H=CSI, t=clock)[0] == 0
+    np.testing.assert_array_equal(np.diff(read(tmp_path).time_ns), 100_000)
+    ticks = np.arange(100) / 4
+    assert run("--time", "t", "--time-unit", "ms", "--force", H=CSI, t=ticks)[0] == 0
+    np.testing.assert_array_equal(np.diff(read(tmp_path).time_ns), 250_000)
+
+
+def test_one_transmitter_in_several_files(tmp_path: Path) -> None:
+    for n in range(3):
+        np.savez(tmp_path / f"pos{n}.npz", H=CSI[20 * n : 20 * n + 20])
+    (tmp_path / "places.csv").write_text("file,x,y\npos0,1,2\npos1.npz,3,4\npos2.npz,5,6,1.5\n")
+    files = [str(tmp_path / f"pos{n}.npz") for n in range(3)]
+    options = ["--ue", "7", "--position-from", str(tmp_path / "places.csv"), "--height-m", "8"]
+    assert main(["import", *files, str(tmp_path / "out.mcap"), *BASE, *options]) == 0
+    block = read(tmp_path)
+    assert set(block.ue.tolist()) == {7}
+    places = np.repeat([[1, 2, 2], [3, 4, 2], [5, 6, 1.5]], 20, axis=0)
+    assert sorted(map(tuple, block.position.tolist())) == sorted(map(tuple, places.tolist()))
+
+
+def test_packed_files_are_unpacked(tmp_path: Path) -> None:
+    np.save(tmp_path / "in.npy", CSI)
+    for name, pack in (("in.npy.gz", gzip.compress), ("in.npy.bz2", bz2.compress)):
+        (tmp_path / name).write_bytes(pack((tmp_path / "in.npy").read_bytes()))
+        arguments = ["import", str(tmp_path / name), str(tmp_path / "out.mcap"), "--force"]
+        assert main([*arguments, "--csi", "array", *BASE[2:]]) == 0
+        np.testing.assert_array_equal(read(tmp_path).csi, CSI.astype(np.complex64))
+
+
+def test_a_packed_file_that_claims_too_much(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "in.gz").write_bytes(gzip.compress(bytes(80 << 20)))
+    assert main(["import", str(tmp_path / "in.gz"), str(tmp_path / "out.mcap"), *BASE]) == 78
+    assert "unpacks to more than" in capsys.readouterr().err
+
+
+def test_a_wifi_capture_needs_no_options_but_what_it_cannot_say(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    csi = integers(6, 30, 3, 2)
+    (tmp_path / "in.dat").write_bytes(intel5300(csi, senders=[1, 2, 1, 1, 0, 1]) + intel5300(csi[:2, :, :2]))
+    arguments = ["import", str(tmp_path / "in.dat"), str(tmp_path / "out.mcap")]
+    assert main(arguments) == 78
+    assert "--carrier-hz is needed" in capsys.readouterr().err
+    assert main([*arguments, "--carrier-hz", "5.32e9"]) == 0
+    told = capsys.readouterr().out
+    for words in ("6 of 8 frames", "2 (other shape)", "A + B + C", "--kind 2 picks 2 frames of 2 antennas"):
+        assert words in told
+    reader = RecordingReader(tmp_path / "out.mcap")
+    assert (reader.facts.phase, reader.facts.delay, reader.facts.power) == ("random", "relative", "rssi")
+    assert reader.facts.senders[0x0200_0000_0001] == "02:00:00:00:00:01"
+    assert main([*arguments, "--carrier-hz", "5.32e9", "--strict", "--force"]) == 78
+    assert main([*arguments, "--carrier-hz", "5.32e9", "--kind", "2", "--power", "raw", "--force"]) == 0
+    np.testing.assert_array_equal(read(tmp_path).csi, csi[:2, :, :2, 0].transpose(0, 2, 1))
+
+
+def test_frames_of_one_sender(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "in.dat").write_bytes(intel5300(integers(6, 30, 3, 1), senders=[1, 2, 1, 1, 2, 1]))
+    arguments = ["import", str(tmp_path / "in.dat"), str(tmp_path / "out.mcap"), "--carrier-hz", "5.32e9"]
+    assert main([*arguments, "--ue-mac", "02:00:00:00:00:02"]) == 0
+    assert "4 (other sender)" in capsys.readouterr().out
+    assert set(read(tmp_path).ue.tolist()) == {0x0200_0000_0002}
+    assert main([*arguments, "--force", "--ue-mac", "02:00:00:00:00:03"]) == 78
+    assert "02:00:00:00:00:01" in capsys.readouterr().err
+
+
+def test_received_power_becomes_amplitude(tmp_path: Path) -> None:
+    (tmp_path / "in.dat").write_bytes(intel5300(integers(6, 30, 3, 1)))
+    arguments = ["import", str(tmp_path / "in.dat"), str(tmp_path / "out.mcap"), "--carrier-hz", "5.32e9"]
+    assert main(arguments) == 0
+    milliwatts = (10**4.0 + 10**4.1 + 10**4.2) * 10 ** (-(44 + 30) / 10)
+    np.testing.assert_allclose(np.mean(np.abs(read(tmp_path).csi) ** 2, axis=(1, 2)), milliwatts, rtol=1e-5)
+
+
+def test_a_dead_antenna_and_guards_do_not_count(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    csi = integers(4, 3, 64, limit=2000)
+    csi[:, 1] = 0
+    (tmp_path / "in.pcap").write_bytes(nexmon(csi))
+    arguments = ["import", str(tmp_path / "in.pcap"), str(tmp_path / "out.mcap")]
+    assert main(arguments) == 0
+    assert "antenna 1 measures nothing" in capsys.readouterr().out
+    array = RecordingReader(tmp_path / "out.mcap").array
+    assert (array.subcarriers, array.dead_antennas, array.dead_tones) == (56, (1,), (55,))
+    assert main([*arguments, "--tones", "all", "--force"]) == 0
+    assert RecordingReader(tmp_path / "out.mcap").array.tones == tuple(range(-32, 32))

@@ -1,0 +1,1 @@
+"""What `chachart import` is made of: options to frames, an array, and a report."""
