@@ -16,7 +16,7 @@ from pydantic_core import ErrorDetails
 from chachart.config.describe import allowed, literal_values, nested_model, toml
 from chachart.config.overrides import apply
 from chachart.config.registry import Kind, available, settings_class, suggestion
-from chachart.config.settings import ArraySettings, QualitySettings, WorkersSettings
+from chachart.config.settings import ArraySettings, QualitySettings, StateSettings, WorkersSettings
 from chachart.config.shipped import LAB, find
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
@@ -27,7 +27,7 @@ from chachart.node.net.security import SecuritySettings
 from chachart.sinks.base import SinkSettings
 from chachart.sources.base import SourceSettings
 
-SECTIONS = ("array", "source", "estimator", "workers", "quality", "security", "sinks")
+SECTIONS = ("array", "source", "estimator", "workers", "quality", "state", "security", "sinks")
 
 AnySettings = TypeVar("AnySettings", bound=Settings)
 Location = tuple[str | int, ...]
@@ -55,7 +55,7 @@ class NodeSettings:
     ----------
     array
         None where no `[array]` is given: the source must then carry its own.
-    source, estimator, workers, quality, sinks, security
+    source, estimator, workers, quality, state, sinks, security
         The other sections of the configuration.
     """
 
@@ -64,6 +64,7 @@ class NodeSettings:
     estimator: Options
     workers: WorkersSettings
     quality: QualitySettings
+    state: StateSettings
     sinks: tuple[SinkSettings, ...]
     security: SecuritySettings = field(default_factory=SecuritySettings)
 
@@ -147,12 +148,17 @@ class _Loader:
         workers = self._section(WorkersSettings, "workers")
         quality = self._section(QualitySettings, "quality")
         security = self._section(SecuritySettings, "security")
+        state = self._section(StateSettings, "state")
         sinks = [self._component("sink", ("sinks", n), table) for n, table in enumerate(self._sinks())]
         geometry = self._geometry(array) if array else None
         if estimator and geometry:
             for key, problem in (*misfits(estimator, geometry), *unreachable(estimator, geometry)):
                 self._wrong(("estimator", key), problem, getattr(estimator, key))
-        if self.mistakes or source is None or estimator is None or workers is None or quality is None:
+        if state is not None and state.resume and state.directory is None:
+            self._wrong(("state", "resume"), "directory must be set to resume from", state.resume)
+        if source is None or estimator is None or workers is None or quality is None or state is None:
+            raise ConfigError(self.mistakes)
+        if self.mistakes:
             raise ConfigError(self.mistakes)
         return NodeSettings(
             array,
@@ -160,6 +166,7 @@ class _Loader:
             estimator,
             workers,
             quality,
+            state,
             tuple(cast(SinkSettings, sink) for sink in sinks),
             cast(SecuritySettings, security),
         )

@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 from chachart.config.describe import allowed, alternatives, literal_values, nested_model, toml
 from chachart.config.registry import Kind, available, settings_class
-from chachart.config.settings import ArraySettings, QualitySettings, WorkersSettings
+from chachart.config.settings import ArraySettings, QualitySettings, StateSettings, WorkersSettings
 from chachart.node.estimation.options import Options
 from chachart.node.net.security import SecuritySettings
 
@@ -37,6 +37,7 @@ def configuration() -> str:
         _section("[workers]", WorkersSettings),
         _section("[quality]", QualitySettings),
         _section("[security]", SecuritySettings),
+        _section("[state]", StateSettings),
         _others("sink"),
         component("sink", "publisher"),
     ]
@@ -64,6 +65,7 @@ def table() -> str:
         ("[workers]", WorkersSettings),
         ("[quality]", QualitySettings),
         ("[security]", SecuritySettings),
+        ("[state]", StateSettings),
     ):
         parts.append(_markdown(f"`{header}`", model))
     for kind, header in zip(_KINDS, ("[source]", "[[sinks]]"), strict=True):

@@ -220,6 +220,19 @@ class QualitySettings(Settings):
     """Up to so many UEs TW and CT are exact; beyond, they are sampled and carry a standard error."""
 
 
+class StateSettings(Settings):
+    """`[state]`: what has been learnt, kept for whoever goes on after a process or the machine died."""
+
+    directory: Path | None = None
+    """Where snapshots go that `chachart-node --resume` goes on from; not set: they go with the node."""
+    every_s: float = Field(10.0, ge=0)
+    """How often each worker writes a snapshot; 0: never, and what a dead worker had learnt is lost."""
+    retain_mib: float = Field(256.0, ge=1)
+    """CSI since the last snapshots that is held in memory for the successor of a worker that dies."""
+    resume: bool = False
+    """Go on from the newest snapshots in `directory`, as --resume does."""
+
+
 def _vector(value: str | Vector) -> Vector:
     if isinstance(value, tuple):
         return value

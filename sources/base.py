@@ -99,6 +99,22 @@ class Source(ABC):
             When the source has nothing more to give.
         """
 
+    def position(self) -> dict[str, Any] | None:
+        """Where the source is: plain values with which `resume` goes on behind the last frame that it gave.
+
+        None for a source that cannot go back: what a live one has not delivered is gone.
+        """
+        return None
+
+    def resume(self, position: dict[str, Any]) -> None:
+        """Called after `open` and before the first `recv`: go on where an earlier one was.
+
+        Parameters
+        ----------
+        position
+            What `position` gave, possibly in another process. Called only where it gave something.
+        """
+
     def close(self) -> None:
         """Let go of what `open` took. May be called twice."""
 

@@ -63,6 +63,7 @@ class Recording(Source):
         self._reader: RecordingReader | None = None
         self._blocks: Generator[CsiBlock] | None = None
         self._waiting: CsiBlock | None = None
+        self._played_from: dict[str, Any] | None = None
         self._playback = Playback(self.settings.speed)
         self._jump_s: float | None = None
         self._first_ns = self._latest_ns = self._shift_ns = 0
@@ -128,6 +129,29 @@ class Recording(Source):
         self._latest_ns = max(self._latest_ns, int(block.time_ns.max()))
         return block
 
+    def position(self) -> dict[str, Any]:
+        """How many frames it has played, and since when without a jump."""
+        return {"frames": self._played, "from": self._played_from}
+
+    def resume(self, position: dict[str, Any]) -> None:
+        """Skip what has been played, in every round since the last jump."""
+        jump = position["from"]
+        if jump is not None:
+            self._rounds = jump["rounds"]
+            self._jump_to(jump["at_s"])
+            self._played = jump["frames"]
+            self._played_from = jump
+        while self._waiting is not None and self._blocks is not None and self._played < position["frames"]:
+            skipped = min(len(self._waiting), position["frames"] - self._played)
+            self._played += skipped
+            more = skipped < len(self._waiting)
+            self._waiting = (
+                self._waiting.cut(skipped, len(self._waiting)) if more else next(self._blocks, None)
+            )
+        if self._waiting is not None:
+            self._latest_ns = int(self._waiting.time_ns.min())
+            self._playback.start(self._latest_ns)
+
     def close(self) -> None:
         """Let go of the file."""
         if self._blocks is not None:
@@ -186,6 +210,7 @@ class Recording(Source):
             self._blocks.close()
         self._shift_ns = 0
         self._rounds = min(self._rounds, max(self.settings.loops - 1, 0))
+        self._played_from = {"frames": self._played, "rounds": self._rounds, "at_s": at_s}
         self._blocks = self._play(self._reader, at_s)
         self._waiting = next(self._blocks, None)
         if self._waiting is not None:

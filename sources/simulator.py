@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable, Iterator
 from typing import Any, ClassVar, Literal
@@ -165,6 +166,18 @@ class Simulator(Source):
                 raise EndOfSource
         due = wanted if self.lossless else self._wait(wanted, deadline)
         return self._block(due) if due else None
+
+    def position(self) -> dict[str, Any] | None:
+        """How many frames it has made since when; None where it keeps a frame rate, as the world would."""
+        return {"frames": self._sent, "start_ns": self._start_ns} if self.lossless else None
+
+    def resume(self, position: dict[str, Any]) -> None:
+        """Make the same frames again, to go on behind them with the same noise."""
+        if self._work is not None:
+            self._work_until(math.inf)
+        self._start, self._start_ns = self._clock(), position["start_ns"] or time.time_ns()
+        while (left := position["frames"] - self._sent) > 0:
+            self._block(min(left, self.settings.block_frames))
 
     def close(self) -> None:
         """Forget the channels."""

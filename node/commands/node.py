@@ -53,6 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.recording is not None:
             config = config or PLAY
             changes = ["source.type=recording", f"source.path={json.dumps(str(options.recording))}", *changes]
+        if options.resume:
+            changes = [*changes, "state.resume=true"]
         settings = load(config, changes, options.sink)
         mistakes = check(settings) + _summary_problems(options.summary)
         if mistakes:
@@ -96,6 +98,11 @@ def _parser() -> Parser:
         help="change a setting of the file; may be given more than once",
     )
     parser.add_argument("--check", action="store_true", help="say what is wrong with the settings, then exit")
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on where a node ended or died, from the snapshots in state.directory",
+    )
     parser.add_argument("--duration", type=_seconds, metavar="S", help="drain and exit after S seconds")
     parser.add_argument("--summary", type=Path, metavar="FILE", help="write the summary as JSON")
     parser.add_argument("--log-format", choices=("text", "json"), default="text")

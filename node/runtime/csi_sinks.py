@@ -55,6 +55,19 @@ class CsiSinks:
         log.info("%s: %s", thread.name, thread.sink.where())
         return thread
 
+    def answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Carry out `start_recording` {path} or `stop_recording`: {result} or {error}."""
+        operation = request["operation"]
+        try:
+            if operation == "start_recording":
+                return {"result": self.start_recording(request["arguments"]["path"])}
+            return {"result": self.stop_recording()}
+        except RequestError as error:
+            return {"error": str(error)}
+        except Exception as error:
+            log.exception("%s failed", operation)
+            return {"error": f"{operation} failed: {error}"}
+
     def start_recording(self, path: str) -> dict[str, Any]:
         """Record to that file from now on; gives what `recorder` tells about itself.
 

@@ -1,36 +1,42 @@
 """The dispatcher: hands blocks to the workers, and what comes back to the main process.
 
-One ROUTER socket serves all workers. A worker says hello and gets as many blocks as it has credit for, each
-with the methods that it is to be estimated with; each answer is acknowledgement and result in one and frees
-one credit.
+A worker says hello and gets as many blocks as it has credit for, each with the methods that it is to be
+estimated with; each answer is acknowledgement and result in one and frees one credit. Now and then a worker
+is told to write a snapshot of its state: what it acknowledged before need not be sent to a successor again.
 """
 
 from __future__ import annotations
 
 import logging
 import os
-import threading
 import time
-from collections import deque
 from typing import Any
 
-import numpy as np
 import zmq
 
-from chachart.node.data.errors import RequestError
-from chachart.node.net.wire import encode_csi
 from chachart.node.runtime import messages
 from chachart.node.runtime.child import load_class
 from chachart.node.runtime.csi_sinks import CsiSinks
-from chachart.node.runtime.partition import Partitioner, shard_of
+from chachart.node.runtime.deadlines import Deadlines
+from chachart.node.runtime.feeder_requests import FeederRequests, Terms
+from chachart.node.runtime.partition import Partitioner
+from chachart.node.runtime.progress import Applied, Mark, highest
 from chachart.node.runtime.reader import Reader
 from chachart.node.runtime.shard_queue import ShardQueue
 from chachart.node.runtime.shard_queues import ShardQueues
+from chachart.node.runtime.snapshot_schedule import SnapshotKeeper
+from chachart.node.runtime.worker_links import Peer, WorkerLinks
 from chachart.sources.base import Source
 
 log = logging.getLogger(__name__)
 
 STATUS_EVERY_S = 0.25
+LAST_SNAPSHOT_S = 5.0
+NOTHING_COUNTED = {"frames_in": 0, "blocks_in": 0, "rejected": {}, "gaps": 0, "out_of_order": 0}
+
+
+class StartOver(Exception):
+    """What a worker needs can only be read again: the feeder has to begin anew at an earlier mark."""
 
 
 class Dispatcher:
@@ -47,38 +53,38 @@ class Dispatcher:
         self._source = source
         self._results = results
         self._wake_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        count = settings["workers"]["count"]
+        workers, state = settings["workers"], settings["state"]
+        count = self._count = workers["count"]
+        retain_bytes = int(state["retain_mib"] * 2**20 / count) if state["every_s"] else 0
         self._queues = ShardQueues(
             [
-                ShardQueue(
-                    settings["workers"]["queue_blocks"], settings["workers"]["credit_blocks"], source.lossless
-                )
+                ShardQueue(workers["queue_blocks"], workers["credit_blocks"], source.lossless, retain_bytes)
                 for _ in range(count)
             ],
             source.lossless,
             self._wake,
         )
-        partitioner = Partitioner(
-            count, settings["workers"]["block_frames"], settings["workers"]["linger_ms"] / 1e3
-        )
+        partitioner = Partitioner(count, workers["block_frames"], workers["linger_ms"] / 1e3)
         self._reader = Reader(source, partitioner, self._queues)
         self._csi_sinks = CsiSinks(self._reader, source.array, source.lossless)
-        self._identity: list[bytes | None] = [None] * count
-        self._worker_status: list[dict[str, Any]] = [{} for _ in range(count)]
-        estimator = settings["estimator"]
-        self._method: tuple[str, str] = (estimator["theta"], estimator["rho"])
-        self._round = 0
-        self._replies: deque[dict[str, Any]] = deque()
+        self._deadlines = Deadlines()
+        self._hellos: list[dict[str, Any]] = [{} for _ in range(count)]
+        self._terms = Terms((settings["estimator"]["theta"], settings["estimator"]["rho"]))
         self._go = False
         self._started = False
         self._stop_at: float | None = None
-        self._workers = context.socket(zmq.ROUTER)
+        router = context.socket(zmq.ROUTER)
         self._commands = context.socket(zmq.PULL)
-        self._workers.set_hwm(0)
-        self._workers.bind(settings["sockets"]["workers"])
+        router.set_hwm(0)
+        router.bind(settings["sockets"]["workers"])
         self._commands.bind(settings["sockets"]["commands"])
+        self._links = WorkerLinks(router, count)
+        self._snapshots = SnapshotKeeper(self._queues, self._links, state["every_s"])
+        self._requests = FeederRequests(
+            self._terms, source, self._csi_sinks, self._links, self._reply, self._wake
+        )
         self._poller = zmq.Poller()
-        for socket in (self._workers, self._commands, self._wake_fd):
+        for socket in (router, self._commands, self._wake_fd):
             self._poller.register(socket, zmq.POLLIN)
 
     def run(self) -> None:
@@ -88,6 +94,8 @@ class Dispatcher:
         ------
         SetupError
             If the source or a CSI sink cannot be opened.
+        StartOver
+            If a worker needs what can only be read again.
         """
         self._source.open()
         try:
@@ -103,22 +111,30 @@ class Dispatcher:
     def _serve(self) -> None:
         next_status = 0.0
         while not self._finished():
-            events = dict(self._poller.poll(int(STATUS_EVERY_S * 1e3)))
-            if self._wake_fd in events:
-                os.eventfd_read(self._wake_fd)
-            if self._workers in events:
-                self._hear_workers()
-            if self._commands in events:
-                self._obey()
+            self._pass()
             self._send_blocks()
-            while self._replies:
-                self._reply(self._replies.popleft())
-            if time.monotonic() >= next_status:
-                next_status = time.monotonic() + STATUS_EVERY_S
+            now = time.monotonic()
+            if now >= next_status:
+                next_status = now + STATUS_EVERY_S
                 self._tell(messages.STATUS, self._status())
+                self._look_for_hung(now)
+                for shard in range(self._count):
+                    self._snapshots.ask_where_due(shard, self._reader.marks, self._reader.passed_on)
         self._queues.settle(self._reader.frames_in, "source_failed")
-        for identity in filter(None, self._identity):
-            self._workers.send_multipart([identity, messages.END])
+        if self._settings["state"]["directory"] is not None:
+            self._last_snapshots()
+        for shard in range(self._count):
+            self._links.send(shard, messages.END, {})
+
+    def _pass(self) -> None:
+        """Wait for something to happen, and take what has come."""
+        events = dict(self._poller.poll(int(STATUS_EVERY_S * 1e3)))
+        if self._wake_fd in events:
+            os.eventfd_read(self._wake_fd)
+        self._hear_workers()
+        if self._commands in events:
+            self._obey()
+        self._requests.reply_to_slow_ones()
 
     def _finished(self) -> bool:
         if self._stop_at is not None and time.monotonic() >= self._stop_at:
@@ -134,48 +150,89 @@ class Dispatcher:
         self._queues.settle(self._reader.frames_in, "drain_deadline")
 
     def _hear_workers(self) -> None:
-        while True:
-            try:
-                identity, kind, *parts = self._workers.recv_multipart(zmq.NOBLOCK)
-            except zmq.Again:
-                return
-            values = messages.unpack(parts[0])
+        for shard, kind, values, rest in self._links.receive():
             if kind == messages.DONE:
-                self._done(identity, values, parts[1])
+                self._done(shard, values, rest[0])
             elif kind == messages.HELLO:
-                self._hello(identity, values)
+                self._hello(shard, values)
+            elif kind == messages.ROWS:
+                self._results.send_multipart([messages.UPDATE, messages.pack({"arrivals": []}), rest[0]])
+            elif kind == messages.SNAPSHOTTED:
+                self._snapshots.answered(shard, values)
             elif kind == messages.REPLY:
-                self._tell(messages.REPLY, values)
+                self._reply(values)
 
-    def _hello(self, identity: bytes, values: dict[str, Any]) -> None:
-        shard = values["shard"]
-        if self._identity[shard] is not None:
+    def _hello(self, shard: int, values: dict[str, Any]) -> None:
+        before = self._links.peers[shard]
+        if before is not None:
             self._worker_lost(shard)
-        self._identity[shard] = identity
-        self._worker_status[shard] = {"pid": values["pid"]}
-        configure = messages.pack({"live": not self._source.lossless})
-        self._workers.send_multipart([identity, messages.CONFIGURE, configure])
-        self._tell(messages.HELLO, values)
+        fresh = not self._hellos[shard]
+        totals, ues = values["totals"], values["ues"]
+        with self._queues.shard(shard) as queue:
+            handover = queue.worker_up(
+                values["seq"], totals["estimated"], totals["rejected"], self._hellos[shard].get("ues", 0)
+            )
+        if handover.lost:
+            self._cannot_be_exact(shard, handover.lost)
+        self._hellos[shard] = values
+        self._snapshots.worker_up(shard, Mark(**values["mark"]))
+        self._links.peers[shard] = Peer(values["identity"], values["pid"], time.monotonic(), {"ues": ues})
+        answer = {
+            "live": not self._source.lossless,
+            "lost": handover.lost,
+            "rows": ues > 0 and (fresh or handover.ahead),
+        }
+        self._links.send(shard, messages.CONFIGURE, answer)
+        self._tell(messages.HELLO, {"shard": shard, "pid": values["pid"]})
         self._start_when_ready()
 
-    def _done(self, identity: bytes, values: dict[str, Any], update: bytes) -> None:
-        if identity not in self._identity:
-            return
-        shard = self._identity.index(identity)
-        done = self._queues.acknowledge(shard, values["seqs"], values["estimated"], values["dropped"])
-        if not done:
-            return
-        self._worker_status[shard].update(ues=values["ues"], **values["counters"])
-        if update:
+    def _cannot_be_exact(self, shard: int, lost: int) -> None:
+        if self._source.lossless and self._source.position() is not None:
+            raise StartOver(f"worker {shard} needs {lost} frames again")
+        log.warning("worker %d: %d frames are in its UEs' estimates no more", shard, lost)
+
+    def _done(self, shard: int, values: dict[str, Any], update: bytes) -> None:
+        now = time.monotonic()
+        done = self._queues.acknowledge(shard, values["seqs"], values["estimated"], values["dropped"], now)
+        peer = self._links.peers[shard]
+        if peer is not None:
+            peer.status = {"ues": values["ues"], **values["counters"]}
+            self._hellos[shard]["ues"] = values["ues"]
+        if update and done:
             header = messages.pack({"arrivals": [pair for content in done for pair in content.arrivals]})
             self._results.send_multipart([messages.UPDATE, header, update])
+        with self._queues.shard(shard) as queue:
+            half = queue.half_retained
+        if half:
+            self._snapshots.ask_where_due(shard, self._reader.marks, self._reader.passed_on, early=True)
 
     def _send_blocks(self) -> None:
-        for shard, identity in enumerate(self._identity):
-            while identity is not None and (entry := self._queues.take(shard, self._method)):
-                header = messages.pack({"seq": entry.seq, "method": entry.method, "round": self._round})
-                parts = [identity, messages.BLOCK, header, *encode_csi(entry.content.block)]
-                self._workers.send_multipart(parts, copy=False)
+        now = time.monotonic()
+        for shard, peer in enumerate(self._links.peers):
+            while peer is not None and (
+                entry := self._queues.take(shard, self._terms.method, now, self._terms.round)
+            ):
+                mark = self._snapshots.newer_mark(shard, self._reader.marks, entry.content.start)
+                self._links.send_block(shard, entry, mark)
+
+    def _last_snapshots(self) -> None:
+        """Have everybody write down what a resumed node needs, when all is drained."""
+        for shard in range(self._count):
+            self._snapshots.ask(shard, self._reader.marks, self._reader.passed_on)
+        deadline = time.monotonic() + LAST_SNAPSHOT_S
+        while self._snapshots.writing() and time.monotonic() < deadline:
+            self._pass()
+
+    def _look_for_hung(self, now: float) -> None:
+        for shard, peer in enumerate(self._links.peers):
+            if peer is None:
+                continue
+            with self._queues.shard(shard) as queue:
+                oldest, typical_s = queue.oldest_sent_at(), queue.typical_s
+            if (reason := self._deadlines.missed(now, peer.heard_at, oldest, typical_s)) is not None:
+                log.error("worker %d (process %d) hangs: %s", shard, peer.pid, reason)
+                self._tell(messages.HUNG, {"shard": shard, "pid": peer.pid})
+                self._worker_lost(shard)
 
     def _obey(self) -> None:
         while True:
@@ -191,68 +248,56 @@ class Dispatcher:
                 self._reader.stop()
                 self._stop_at = time.monotonic() + values["within_s"]
             elif kind == messages.LOST:
-                if self._worker_status[values["shard"]].get("pid") == values["pid"]:
+                peer = self._links.peers[values["shard"]]
+                if peer is not None and peer.pid == values["pid"]:
                     self._worker_lost(values["shard"])
             elif kind == messages.REQUEST:
-                self._request(values)
+                self._requests.handle(values)
 
     def _start_when_ready(self) -> None:
-        if self._go and not self._started and self._stop_at is None and all(self._identity):
+        ready = self._go and not self._started and self._stop_at is None
+        if ready and all(peer is not None for peer in self._links.peers):
+            self._go_on()
             self._started = True
             self._reader.start()
             self._tell(messages.STARTED, {})
 
+    def _go_on(self) -> None:
+        """Take up where an earlier feeder was, if the workers' state says that there was one."""
+        applied: Applied = highest(
+            (int(shards), int(shard), int(frame))
+            for hello in self._hellos
+            for shards, shard, frame in hello["applied"]
+        )
+        self._terms.round = max(hello["round"] for hello in self._hellos)
+        counted = self._settings["counted"]
+        if counted is None and not applied:
+            return
+        with self._queues.shard(0) as queue:
+            queue.dropped.merge({} if counted is None else counted["dropped_here"])
+        counted = {"frames_in": 0, "blocks_in": 0, "rejected": {}, "gaps": 0, "out_of_order": 0} | (
+            counted or {}
+        )
+        mark = self._snapshots.oldest_mark
+        if self._source.position() is None:
+            mark, applied = Mark(max((frame for *_, frame in applied), default=0), None), []
+            lost = counted["frames_in"] - self._queues.accounted()
+            if lost > 0:
+                with self._queues.shard(0) as queue:
+                    queue.dropped.add("feeder_lost", lost)
+        elif mark.position is not None:
+            self._source.resume(mark.position)
+        counted["frames_in"] = self._queues.accounted()
+        log.info("reading goes on at frame %d", mark.frame)
+        self._reader.go_on(mark, applied, counted)
+
     def _worker_lost(self, shard: int) -> None:
-        self._identity[shard] = None
-        self._worker_status[shard] = {}
-        frames = self._queues.worker_lost(shard)
+        self._links.peers[shard] = None
+        self._snapshots.worker_lost(shard)
+        with self._queues.shard(shard) as queue:
+            frames = queue.worker_lost()
         if frames:
             log.warning("worker %d: %d unacknowledged frames wait for its successor", shard, frames)
-
-    def _request(self, values: dict[str, Any]) -> None:
-        operation, arguments = values["operation"], values["arguments"]
-        if operation == "set_method":
-            self._method = (arguments["theta"], arguments["rho"])
-            self._reply({"id": values["id"], "result": arguments})
-        elif operation == "replay":
-            self._replay(values)
-        elif operation in ("start_recording", "stop_recording"):
-            threading.Thread(target=self._record, args=(values,), name="record", daemon=True).start()
-        else:
-            shard = int(shard_of(np.array([arguments["ue"]], np.uint64), len(self._identity))[0])
-            worker = self._identity[shard]
-            if worker is None:
-                error = f"worker {shard}, which has UE {arguments['ue']}, is being restarted"
-                self._reply({"id": values["id"], "error": error})
-            else:
-                self._workers.send_multipart([worker, messages.REQUEST, messages.pack(values)])
-
-    def _replay(self, values: dict[str, Any]) -> None:
-        """Steer the source; after a jump, what workers know of UEs is of another time."""
-        before, wishes = self._source.details(), values["arguments"]
-        try:
-            plays = self._source.replay(**wishes)
-        except RequestError as error:
-            self._reply({"id": values["id"], "error": str(error)})
-            return
-        jumped = wishes["at_s"] is not None or (before["replay"]["ended"] and not plays["ended"])
-        self._round += jumped
-        self._reply({"id": values["id"], "result": {**plays, "jumped": jumped}})
-
-    def _record(self, values: dict[str, Any]) -> None:
-        answer: dict[str, Any] = {"id": values["id"]}
-        try:
-            if values["operation"] == "start_recording":
-                answer["result"] = self._csi_sinks.start_recording(values["arguments"]["path"])
-            else:
-                answer["result"] = self._csi_sinks.stop_recording()
-        except RequestError as error:
-            answer["error"] = str(error)
-        except Exception as error:
-            log.exception("%s failed", values["operation"])
-            answer["error"] = f"{values['operation']} failed: {error}"
-        self._replies.append(answer)
-        self._wake()
 
     def _reply(self, values: dict[str, Any]) -> None:
         """Answer a request; the status goes first, so that nobody sees one from before the change."""
@@ -261,16 +306,26 @@ class Dispatcher:
 
     def _status(self) -> dict[str, Any]:
         estimated, dropped, shards = self._queues.totals()
-        workers = [{**status, **shard} for status, shard in zip(self._worker_status, shards, strict=True)]
+        workers = [
+            {
+                **({} if peer is None else {"pid": peer.pid, **peer.status}),
+                **shard,
+                "snapshot_error": error,
+            }
+            for peer, shard, error in zip(self._links.peers, shards, self._snapshots.errors, strict=True)
+        ]
         return {
-            "method": dict(zip(("theta", "rho"), self._method, strict=True)),
+            "method": dict(zip(("theta", "rho"), self._terms.method, strict=True)),
             "frames_estimated": estimated,
             "dropped": dropped.as_dict(),
+            "dropped_here": self._queues.dropped_here(),
             "workers": workers,
             "source": self._source.details(),
             "csi_sinks": self._csi_sinks.status(),
             "recording": self._csi_sinks.recording(),
             "failure": self._reader.failure,
+            "ended": self._reader.ended,
+            "reader_silent_s": time.monotonic() - self._reader.stirred if self._started else 0.0,
             **self._reader.status(),
         }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 
 import zmq
@@ -11,8 +12,12 @@ from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.net.security import SecuritySettings
 from chachart.node.runtime import messages
 from chachart.node.runtime.child import load_class, read_settings
-from chachart.node.runtime.dispatcher import Dispatcher
+from chachart.node.runtime.dispatcher import Dispatcher, StartOver
 
+log = logging.getLogger(__name__)
+
+START_OVER = 75
+"""Exit status of a feeder that has to begin anew (EX_TEMPFAIL of sysexits.h)."""
 SWITCH_INTERVAL_S = 0.0005
 """The reader must not keep the dispatcher waiting for the interpreter as long as Python's 5 ms."""
 
@@ -30,6 +35,9 @@ def main() -> int:
         source = source_class(source_settings, ArrayGeometry.from_dict(settings["array"]))
         source.security = SecuritySettings.model_validate(settings["security"])
         Dispatcher(settings, source, context, results).run()
+    except StartOver as reason:
+        log.warning("%s; starting over", reason)
+        return START_OVER
     except SetupError as error:
         results.send_multipart([messages.SETUP_ERROR, messages.pack({"message": str(error)})])
         return EX_CONFIG

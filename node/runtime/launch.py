@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from chachart.node.runtime.child import Child, class_path
@@ -18,9 +19,11 @@ class Launcher:
         What the node does, and where its sockets are.
     log_level
         What the children log.
+    folder
+        Where snapshots go, None for nowhere.
     """
 
-    def __init__(self, plan: Plan, links: Links, log_level: int) -> None:
+    def __init__(self, plan: Plan, links: Links, log_level: int, folder: Path | None) -> None:
         self._plan = plan
         self._endpoints = links.endpoints
         self._common: dict[str, Any] = {
@@ -28,9 +31,19 @@ class Launcher:
             "directory": str(links.directory),
             "array": plan.array.as_dict(),
         }
+        durable = plan.state.directory is not None
+        self._state = {"folder": None if folder is None else str(folder), "durable": durable}
 
-    def feeder(self) -> Child:
-        """Start the process with the source and the CSI sinks."""
+    def feeder(self, method: dict[str, str], counted: dict[str, Any] | None) -> Child:
+        """Start the process with the source and the CSI sinks.
+
+        Parameters
+        ----------
+        method
+            {theta, rho} to estimate with.
+        counted
+            The last status of the one before; None if there was none.
+        """
         plan = self._plan
         settings = {
             **self._common,
@@ -41,7 +54,9 @@ class Launcher:
                 "settings": plan.source_settings.model_dump(mode="json"),
             },
             "workers": {**plan.workers.model_dump(mode="json"), "block_frames": plan.block_frames},
-            "estimator": {"theta": plan.estimator.theta, "rho": plan.estimator.rho},
+            "estimator": method,
+            "state": plan.state.model_dump(mode="json"),
+            "counted": counted,
             "csi_sinks": [
                 {"class": class_path(sink), "settings": settings.model_dump(mode="json")}
                 for sink, settings in plan.sinks
@@ -56,7 +71,9 @@ class Launcher:
             **self._common,
             "workers": self._endpoints["workers"],
             "shard": shard,
+            "count": self._plan.workers.count,
             "estimator": self._plan.worker_estimator(),
+            "state": self._state,
         }
         return Child(f"worker {shard}", "chachart.node.runtime.worker", settings)
 

@@ -14,13 +14,16 @@ from chachart.node.data.errors import SetupError
 from chachart.node.runtime import messages
 from chachart.node.runtime.child import Child
 from chachart.node.runtime.collector import Collector
+from chachart.node.runtime.feeder_process import FeederProcess
 from chachart.node.runtime.launch import Launcher
 from chachart.node.runtime.links import Links
+from chachart.node.runtime.node_state import NodeState
 from chachart.node.runtime.plan import Plan
 from chachart.node.runtime.quality_watch import QualityWatch
+from chachart.node.runtime.report import Reporter
 from chachart.node.runtime.requests import PendingRequests, chart_columns, checked_method, ue_list
 from chachart.node.runtime.sink_thread import SinkThread
-from chachart.node.runtime.status import NodeStatus, Rates, summary
+from chachart.node.runtime.status import NodeStatus, summary
 from chachart.node.runtime.supervisor import SupervisedChild, Supervisor
 
 log = logging.getLogger(__name__)
@@ -51,7 +54,12 @@ class Node:
         self.failure: str | None = None
         self._plan = plan
         self._links = Links()
-        self._launch = Launcher(plan, self._links, log_level)
+        try:
+            self._kept = NodeState(plan, self._links.directory, self._facts)
+        except SetupError:
+            self._links.close()
+            raise
+        self._launch = Launcher(plan, self._links, log_level, self._kept.folder)
         self._collector = Collector(plan.estimator)
         self._quality = QualityWatch(
             plan.quality,
@@ -65,14 +73,13 @@ class Node:
             SupervisedChild(f"worker {s}", partial(self._launch.worker, s), partial(self._worker_died, s))
             for s in range(plan.workers.count)
         )
-        self._feeder: Child | None = None
+        self._feeder = FeederProcess(self._start_feeder, self._feeder_died)
+        self._reporter = Reporter(plan, self._collector, self._feeder, self._workers, self._quality)
         self._method: dict[str, str] = {"theta": plan.estimator.theta, "rho": plan.estimator.rho}
         self._state = "starting"
-        self._fed: dict[str, Any] = {}
-        self._rates = Rates()
         self._status: dict[str, Any] = NodeStatus(array=plan.array.name).as_dict()
         self._started_at: float | None = None
-        self._seconds = 0.0
+        self._seconds = self._earlier_s = 0.0
         self.closed = False
         self._give_up_at: float | None = None
         self._setup_error: str | None = None
@@ -89,7 +96,8 @@ class Node:
             If something the plan asks for cannot be; everything is closed again then.
         """
         try:
-            self._feeder = self._launch.feeder()
+            self._resume()
+            self._feeder.check()
             self._workers.check()
             for sink_class, settings in self._plan.sinks:
                 if not sink_class.wants_csi:
@@ -105,6 +113,7 @@ class Node:
             if self._setup_error is not None:
                 raise SetupError(self._setup_error)
             self._links.command(messages.GO, {})
+            self._kept.start()
             self._quality.start()
         except SetupError:
             self._finished.set()
@@ -126,7 +135,8 @@ class Node:
     @property
     def feeder_pid(self) -> int | None:
         """Process id of the feeder."""
-        return None if self._feeder is None else self._feeder.pid
+        child = self._feeder.supervised.child
+        return None if child is None else child.pid
 
     def addresses(self) -> list[tuple[str, str]]:
         """Where a person finds what the chart's sinks give, by sink."""
@@ -137,8 +147,7 @@ class Node:
         """End all child processes at once; a node that is killed leaves no summary."""
         self._workers.kill()
         self._quality.kill()
-        if self._feeder is not None:
-            self._feeder.kill()
+        self._feeder.supervised.kill()
         self._links.remove_directory()
 
     def close(self) -> dict[str, Any]:
@@ -153,37 +162,29 @@ class Node:
         return summary(self._status, self._collector.latency.percentiles_ms())
 
     def chart(self) -> ChartUpdate | None:
-        """See `NodeAccess`."""
         return self._collector.table.chart()
 
     def status(self) -> dict[str, Any]:
-        """See `NodeAccess`."""
         return self._status
 
     def quality(self) -> dict[str, Any] | None:
-        """See `NodeAccess`."""
         return self._quality.latest
 
     def ues(self) -> dict[str, Any]:
-        """See `NodeAccess`."""
         return ue_list(self.chart())
 
     def chart_columns(self) -> dict[str, Any]:
-        """See `NodeAccess`."""
         return chart_columns(self.chart(), self._plan.array)
 
     def spectrum(self, ue: int) -> dict[str, Any]:
-        """See `NodeAccess`."""
         return self._pending.ask("spectrum", {"ue": ue})
 
     def set_method(self, theta: str, rho: str) -> dict[str, str]:
-        """See `NodeAccess`."""
         return self._pending.ask("set_method", checked_method(self._plan, theta, rho))
 
     def replay(
         self, *, paused: bool | None = None, speed: float | None = None, at_s: float | None = None
     ) -> dict[str, Any]:
-        """See `NodeAccess`."""
         wishes = {"paused": paused, "speed": speed, "at_s": at_s}
         answer = self._pending.ask("replay", wishes)
         if answer["jumped"]:
@@ -191,11 +192,9 @@ class Node:
         return answer
 
     def start_recording(self, path: Path) -> dict[str, Any]:
-        """See `NodeAccess`."""
         return self._pending.ask("start_recording", {"path": str(path)})
 
     def stop_recording(self) -> dict[str, Any]:
-        """See `NodeAccess`."""
         return self._pending.ask("stop_recording", {})
 
     def _run(self) -> None:
@@ -219,6 +218,7 @@ class Node:
                 self._collector.report("status", self._status)
 
     def _handle(self, kind: bytes, values: dict[str, Any], rest: list[bytes]) -> None:
+        self._feeder.heard()
         if kind == messages.UPDATE:
             self._collector.take(messages.unpack_update(rest[0]), values["arrivals"])
         elif kind == messages.STATUS:
@@ -228,16 +228,17 @@ class Node:
             self._pending.answer(values)
         elif kind == messages.HELLO:
             self._workers.children[values["shard"]].is_up()
+        elif kind == messages.HUNG:
+            self._workers.children[values["shard"]].kill_hung(values["pid"])
         elif kind == messages.READY:
-            self._collector.clock.live = not values["lossless"]
-            self._ready.set()
+            self._feeder_ready(values["lossless"])
         elif kind == messages.STARTED:
-            self._started_at = time.monotonic()
+            self._feeder.started = True
+            self._started_at = self._started_at or time.monotonic()
             self._state = "running" if self._give_up_at is None else self._state
             log.info("frames are read")
         elif kind == messages.SETUP_ERROR:
-            self._setup_error = values["message"]
-            self._give_up(values["message"])
+            self._setup_failed(values["message"])
         elif kind == messages.DRAINED:
             self._take_status(values)
             self.failure = self.failure or values["failure"]
@@ -247,18 +248,61 @@ class Node:
         if (method := values["method"]) != self._method:
             self._method = method
             log.info("theta by %s, rho by %s from now on", method["theta"], method["rho"])
-        self._fed = values
+        self._feeder.heard(values)
+
+    def _feeder_ready(self, lossless: bool) -> None:
+        self._collector.clock.live = not lossless
+        self._feeder.ready = True
+        self._feeder.supervised.is_up()
+        if self._ready.is_set():  # it is not the first one: nobody else says go
+            self._links.command(messages.GO, {})
+        self._ready.set()
+
+    def _setup_failed(self, message: str) -> None:
+        """The source or a CSI sink cannot be opened: the end at the start, tried again later."""
+        if self._ready.is_set():
+            log.error("%s", message)
+        else:
+            self._setup_error = message
+            self._give_up(message)
+
+    def _start_feeder(self, counted: dict[str, Any] | None) -> Child:
+        return self._launch.feeder(self._method, counted)
+
+    def _feeder_died(self) -> None:
+        """Take what it had still sent; without it, nothing can be drained."""
+        for kind, body, *rest in self._links.receive(0):
+            self._handle(kind, messages.unpack(body), rest)
+        if self._give_up_at is not None or not self._ready.is_set():
+            self._give_up("the feeder process died")
+
+    def _resume(self) -> None:
+        """Take up the counts and methods of the run that this one goes on with."""
+        if (facts := self._kept.resumed) is not None:
+            self._method = facts["method"]
+            self._earlier_s = facts["seconds"]
+            self._collector.table.evicted, self._collector.table.forgotten = facts["ues_gone"]
+            if facts["feeder"]:
+                self._feeder.resume(facts["feeder"])
+
+    def _facts(self) -> dict[str, Any]:
+        """What `_resume` needs."""
+        table = self._collector.table
+        return {
+            "method": self._method,
+            "seconds": self._run_time(),
+            "ues_gone": [table.evicted, table.forgotten],
+            "feeder": self._feeder.status,
+        }
 
     def _look_after_children(self) -> None:
-        if self._finished.is_set() or self._feeder is None:
+        if self._finished.is_set():
             return
-        if (reason := self._workers.check()) is not None:
+        reason = self._workers.check() or self._feeder.check()
+        if self._finished.is_set():
+            return
+        if reason is not None:
             self._give_up(reason)
-        elif (code := self._feeder.exit_code()) is not None:
-            for kind, body, *rest in self._links.receive(LOOP_S):
-                self._handle(kind, messages.unpack(body), rest)
-            if not self._finished.is_set():
-                self._give_up(f"the feeder process died (exit code {code})")
         elif self._give_up_at is not None and time.monotonic() >= self._give_up_at:
             self._give_up("the feeder process did not drain in time")
 
@@ -266,12 +310,11 @@ class Node:
         """End without a drain; what is not accounted for is counted as dropped."""
         self.failure = reason
         self._setup_error = self._setup_error or reason
-        fed = self._fed
+        fed = self._feeder.status
         if fed:
             lost = fed["frames_in"] - fed["frames_estimated"] - sum(fed["dropped"].values())
             fed["dropped"] = {**fed["dropped"], "node_failed": lost}
-        if self._feeder is not None:
-            self._feeder.kill()
+        self._feeder.supervised.kill()
         self._workers.kill()
         self._end()
 
@@ -282,54 +325,18 @@ class Node:
 
     def _run_time(self) -> float:
         if self._started_at is None:
-            return 0.0
-        return self._seconds or time.monotonic() - self._started_at
+            return self._earlier_s
+        return self._seconds or self._earlier_s + time.monotonic() - self._started_at
 
     def _update_status(self) -> None:
-        fed, table = self._fed, self._collector.table
-        frames_in, estimated = fed.get("frames_in", 0), fed.get("frames_estimated", 0)
-        rates = self._rates.add(time.monotonic(), frames_in, estimated)
-        empty: list[dict[str, Any]] = [{} for _ in self._workers.children]
-        workers = [
-            {"shard": shard, "restarts": child.restarts, "pid": None, "ues": 0, **worker}
-            for shard, (child, worker) in enumerate(
-                zip(self._workers.children, fed.get("workers", empty), strict=True)
-            )
-        ]
-        self._status = NodeStatus(
-            state=self._state,
-            array=self._plan.array.name,
-            source=self._plan.source_settings.type,
-            method=self._method,
-            lossless=not self._collector.clock.live,
-            seconds=self._run_time(),
-            blocks_in=fed.get("blocks_in", 0),
-            frames_in=frames_in,
-            frames_estimated=estimated,
-            backlog_frames=sum(worker.get("backlog_frames", 0) for worker in workers),
-            frames_in_per_s=rates[0],
-            frames_estimated_per_s=rates[1],
-            dropped=fed.get("dropped", {}),
-            rejected=fed.get("rejected", {}),
-            gaps=fed.get("gaps", 0),
-            out_of_order=fed.get("out_of_order", 0),
-            ues=len(table),
-            ues_evicted=table.evicted,
-            ues_forgotten=table.forgotten,
-            latency_ms=self._collector.recent_latency_ms(),
-            latency_histogram=self._collector.latency.histogram(),
-            quality=self._quality.latest,
-            workers=workers,
-            sinks=[sink.status() for sink in self._collector.sinks] + fed.get("csi_sinks", []),
-            recording=fed.get("recording"),
-            source_details=fed.get("source", {}),
-        ).as_dict()
+        self._status = self._reporter.report(self._state, self._method, self._run_time())
 
     def _close_parts(self) -> None:
         for sink in self._collector.sinks:
             sink.close(CLOSE_WITHIN_S)
-        if self._feeder is not None:
-            self._feeder.close(CLOSE_WITHIN_S)
+        if self._feeder.supervised.child is not None:
+            self._feeder.supervised.child.close(CLOSE_WITHIN_S)
+        self._kept.close()
         self._workers.close(WORKERS_CLOSE_WITHIN_S)
         if self._thread.ident is not None:
             self._thread.join()

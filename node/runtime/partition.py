@@ -13,11 +13,24 @@ from chachart.node.data.csi import CsiBlock
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShardBlock:
-    """A block for one shard, and when its frames came in: (monotonic seconds, frames), first ones first."""
+    """A block for one shard.
+
+    Attributes
+    ----------
+    shard, block
+        Whose frames, and the frames.
+    arrivals
+        When they came in: (monotonic seconds, frames), first ones first.
+    start, end
+        The reader's number of the first frame, and one more than that of the last: all frames of the shard
+        below `start` are in blocks before this one.
+    """
 
     shard: int
     block: CsiBlock
     arrivals: tuple[tuple[float, int], ...]
+    start: int
+    end: int
 
 
 @dataclass(slots=True)
@@ -25,6 +38,8 @@ class _Pending:
     blocks: list[CsiBlock] = field(default_factory=list)
     frames: int = 0
     arrivals: list[tuple[float, int]] = field(default_factory=list)
+    start: int = 0
+    end: int = 0
 
 
 def shard_of(ue: NDArray[np.uint64], shards: int) -> NDArray[np.intp]:
@@ -49,17 +64,18 @@ class Partitioner:
         self._linger = linger_s
         self._pending = [_Pending() for _ in range(shards)]
 
-    def add(self, block: CsiBlock, now: float) -> list[ShardBlock]:
-        """Take a block that came in at `now`; gives the blocks that are full."""
+    def add(self, block: CsiBlock, now: float, numbers: NDArray[np.int64]) -> list[ShardBlock]:
+        """Take a block that came in at `now`, with the reader's number of each frame; gives what is full."""
         if self._shards == 1:
-            return list(self._extend(0, block, now))
+            return list(self._extend(0, block, now, numbers))
         shard = shard_of(block.ue, self._shards)
         order = np.argsort(shard, kind="stable")
         ends = np.searchsorted(shard[order], np.arange(self._shards + 1))
         full: list[ShardBlock] = []
         for s in range(self._shards):
             if ends[s] < ends[s + 1]:
-                full += self._extend(s, block.take(order[ends[s] : ends[s + 1]]), now)
+                index = order[ends[s] : ends[s + 1]]
+                full += self._extend(s, block.take(index), now, numbers[index])
         return full
 
     def due(self, now: float) -> list[ShardBlock]:
@@ -79,11 +95,20 @@ class Partitioner:
         """Everything that waits, now."""
         return [self._emit(s) for s, pending in enumerate(self._pending) if pending.frames]
 
-    def _extend(self, shard: int, block: CsiBlock, now: float) -> Iterator[ShardBlock]:
+    def waiting_from(self) -> int | None:
+        """The lowest number of a frame that waits here, or None."""
+        return min((p.start for p in self._pending if p.frames), default=None)
+
+    def _extend(
+        self, shard: int, block: CsiBlock, now: float, numbers: NDArray[np.int64]
+    ) -> Iterator[ShardBlock]:
         start = 0
         while start < len(block):
             pending = self._pending[shard]
             stop = min(len(block), start + self._block_frames - pending.frames)
+            if not pending.frames:
+                pending.start = int(numbers[start])
+            pending.end = int(numbers[stop - 1]) + 1
             pending.blocks.append(block.cut(start, stop))
             pending.arrivals.append((now, stop - start))
             pending.frames += stop - start
@@ -94,4 +119,5 @@ class Partitioner:
     def _emit(self, shard: int) -> ShardBlock:
         pending = self._pending[shard]
         self._pending[shard] = _Pending()
-        return ShardBlock(shard, CsiBlock.concatenate(pending.blocks), tuple(pending.arrivals))
+        block = CsiBlock.concatenate(pending.blocks)
+        return ShardBlock(shard, block, tuple(pending.arrivals), pending.start, pending.end)

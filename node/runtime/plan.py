@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from chachart.config.load import NodeSettings
 from chachart.config.registry import sink_class, source_class
-from chachart.config.settings import ArraySettings, QualitySettings, WorkersSettings
+from chachart.config.settings import ArraySettings, QualitySettings, StateSettings, WorkersSettings
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
@@ -29,7 +30,7 @@ class Plan:
         The one from `[array]`, or the one that the source carries.
     source, source_settings, sinks
         Classes with their settings.
-    estimator, workers, quality, security
+    estimator, workers, quality, state, security
         The other sections of the configuration.
     """
 
@@ -39,6 +40,7 @@ class Plan:
     estimator: Options
     workers: WorkersSettings
     quality: QualitySettings
+    state: StateSettings
     sinks: tuple[tuple[type[Sink], SinkSettings], ...]
     security: SecuritySettings = field(default_factory=SecuritySettings)
 
@@ -59,6 +61,7 @@ class Plan:
             settings.estimator,
             settings.workers,
             settings.quality,
+            settings.state,
             tuple((sink_class(sink.type), sink) for sink in settings.sinks),
             settings.security,
         )
@@ -70,8 +73,19 @@ class Plan:
         for sink, settings in self.sinks:
             found += settings.exposure(self.security) + sink.problems(settings)
         found += self._shared_endpoints()
+        found += self._state_problems()
         found += estimator_problems(self.array, self.estimator)
         return list(dict.fromkeys(found))
+
+    def _state_problems(self) -> Iterator[str]:
+        directory = self.state.directory
+        if directory is None:
+            return
+        there = directory if directory.exists() else directory.parent
+        if not there.is_dir():
+            yield f"[state] directory = {str(directory)!r}: {there} is not a folder that is there"
+        elif not os.access(there, os.W_OK):
+            yield f"[state] directory = {str(directory)!r}: {there} cannot be written to"
 
     def _shared_endpoints(self) -> Iterator[str]:
         """Endpoints that are free now, but that two parts of this node want to listen on."""

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from chachart.node.data.chart import ChartUpdate, Method
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import RequestError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
+from chachart.node.estimation.state import Snapshot
+from chachart.node.runtime.table import ChartTable
 
 log = logging.getLogger(__name__)
 
+GATHERED_ROWS = 4096
 FORGETS_PER_PERIOD = 10
 """How often per `forget_after_s` unseen UEs are looked for."""
 
@@ -64,6 +68,38 @@ class Outcome:
     dropped: dict[str, int]
 
 
+class LatestRows:
+    """The newest row of each UE; rows are gathered, since to put many in their places at once is cheap."""
+
+    def __init__(self, max_ues: int) -> None:
+        self._table = ChartTable(max_ues)
+        self._gathered: list[ChartUpdate] = []
+        self._count = 0
+
+    def add(self, update: ChartUpdate) -> None:
+        """Newer rows."""
+        self._gathered.append(update)
+        self._count += len(update)
+        if self._count >= GATHERED_ROWS:
+            self._put_away()
+
+    def remove(self, ue: NDArray[np.uint64]) -> None:
+        """These UEs are forgotten."""
+        if len(ue):
+            self._put_away()
+            self._table.remove(ue)
+
+    def all(self) -> ChartUpdate | None:
+        """All of them, or None if there is none."""
+        self._put_away()
+        return self._table.chart()
+
+    def _put_away(self) -> None:
+        if self._gathered:
+            self._table.update(ChartUpdate.concatenate(self._gathered))
+            self._gathered, self._count = [], 0
+
+
 class BlockProcessor:
     """Blocks of one shard in, chart updates out.
 
@@ -85,6 +121,7 @@ class BlockProcessor:
         self._forget_after_ns = int((estimator.get("forget_after_s") or 0) * 1e9)
         self._next_forget_ns: int | None = None
         self._rejected: dict[str, int] = {}
+        self._rows = LatestRows(self._estimator.options.max_ues)
         self.clock = clock
         self.untrained = 0
 
@@ -109,6 +146,8 @@ class BlockProcessor:
             if not self.untrained:
                 log.warning('rho = "lr" keeps UEs off the chart until it has seen two with a known position')
             self.untrained += untrained
+        if len(update):
+            self._rows.add(update)
         return Outcome(update if len(update) else None, len(block) - sum(dropped.values()), dropped)
 
     def start_over(self) -> None:
@@ -116,6 +155,40 @@ class BlockProcessor:
         self._estimator.forget(np.iinfo(np.int64).max)
         self._next_forget_ns = None
         self.clock.start_over()
+        self._rows = LatestRows(self._estimator.options.max_ues)
+
+    def pieces(self, ues: int) -> Iterator[Snapshot]:
+        """The estimator's state, of at most so many UEs at a time."""
+        copy = self._estimator.copy()
+        while (piece := copy.piece(ues)) is not None:
+            yield piece
+
+    def rows(self) -> ChartUpdate | None:
+        """The newest row of each UE, or None if there is none."""
+        return self._rows.all()
+
+    def restore(self, snapshot: Snapshot, rows: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from there.
+
+        Parameters
+        ----------
+        snapshot
+            The estimator's.
+        rows
+            The columns of the newest row of each UE.
+
+        Raises
+        ------
+        ValueError
+            If the snapshot is of another array or of other options; nothing has changed then.
+        """
+        self._estimator.restore(snapshot)
+        self._rejected = self._estimator.rejected.as_dict()
+        self._rows = LatestRows(self._estimator.options.max_ues)
+        if len(rows.get("ue", ())):
+            update = ChartUpdate(self._estimator.array.name, self._estimator.method, **rows)
+            self._rows.add(update)
+            self.clock.see(int(update.time_ns.max()))
 
     def forget(self) -> None:
         """Let go of UEs unseen for too long; cheap to call often."""
@@ -123,7 +196,7 @@ class BlockProcessor:
         if not self._forget_after_ns or now_ns is None:
             return
         if self._next_forget_ns is None or now_ns >= self._next_forget_ns:
-            self._estimator.forget(now_ns)
+            self._rows.remove(self._estimator.forget(now_ns))
             self._next_forget_ns = now_ns + self._forget_after_ns // FORGETS_PER_PERIOD
 
     def _newly_rejected(self) -> dict[str, int]:

@@ -7,9 +7,12 @@ import threading
 import time
 from typing import Any
 
+import numpy as np
+
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.runtime.partition import Partitioner, ShardBlock
+from chachart.node.runtime.progress import Applied, Mark, Marks, missing
 from chachart.node.runtime.shard_queues import ShardQueues
 from chachart.node.runtime.sink_thread import SinkThread
 from chachart.sources.base import EndOfSource, Source
@@ -17,6 +20,7 @@ from chachart.sources.base import EndOfSource, Source
 log = logging.getLogger(__name__)
 
 RECV_TIMEOUT_S = 0.1
+MARK_EVERY_S = 0.1
 TIMER_S = 0.001
 """Sockets wait in whole milliseconds: better a block leaves up to one early than one late."""
 
@@ -32,6 +36,12 @@ class Reader:
         What had not; the source's own rejects are with the source.
     order
         `gaps`: frames missing by the source's numbering; `out_of_order`: frames that came late.
+    marks
+        Where the source was, for whoever goes on from here.
+    passed_on
+        All frames below this number are in the queues.
+    stirred
+        When it last had its turn: (monotonic seconds).
     failure
         Why the source failed, where it did.
     """
@@ -43,15 +53,40 @@ class Reader:
         self.order = Counters()
         self.failure: str | None = None
         self.sinks: tuple[SinkThread, ...] = ()
+        self.marks = Marks()
+        self.passed_on = 0
+        self.stirred = time.monotonic()
         self._source = source
         self._partitioner = partitioner
         self._queues = queues
+        self._number = 0
+        self._applied: Applied = []
+        self._applied_below = 0
+        self._next_mark = 0.0
         self._expected: int | None = None
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="reader", daemon=True)
 
+    def go_on(self, mark: Mark, applied: Applied, counted: dict[str, Any]) -> None:
+        """Before `start`: the source goes on at a mark, what is in a state already is left out.
+
+        Parameters
+        ----------
+        mark
+            Where; its position is None if the source starts anew.
+        applied
+            What not to read again.
+        counted
+            The counts of who read before, as `status` gives them.
+        """
+        self._number = self.passed_on = mark.frame
+        self._applied = applied
+        self._applied_below = max((frame for _, _, frame in applied), default=0)
+        self.frames_in, self.blocks_in = counted["frames_in"], counted["blocks_in"]
+        self.rejected.merge(counted["rejected"])
+        self.order.merge({reason: counted[reason] for reason in ("gaps", "out_of_order")})
+
     def start(self) -> None:
-        """Begin to read."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -64,7 +99,6 @@ class Reader:
         return self._thread.ident is not None and not self._thread.is_alive()
 
     def join(self, timeout: float) -> None:
-        """Wait for the end."""
         self._thread.join(timeout)
 
     def status(self) -> dict[str, Any]:
@@ -92,15 +126,34 @@ class Reader:
             self._pass_on(self._partitioner.flush())
 
     def _step(self) -> None:
+        self._mark()
         deadline = self._partitioner.deadline()
         wait = RECV_TIMEOUT_S if deadline is None else deadline - TIMER_S - time.monotonic()
         block = self._source.recv(min(max(wait, 0.0), RECV_TIMEOUT_S))
-        now = time.monotonic()
+        now = self.stirred = time.monotonic()
         if block is not None and self._fits(block):
-            for sink in self.sinks:
-                sink.put(block)
-            self._pass_on(self._partitioner.add(block, now))
+            self._take(block, now)
         self._pass_on(self._partitioner.due(now + TIMER_S))
+
+    def _take(self, block: CsiBlock, now: float) -> None:
+        numbers = np.arange(self._number, self._number + len(block))
+        self._number += len(block)
+        if numbers[0] < self._applied_below:
+            new = missing(block.ue, numbers, self._applied)
+            if not new.any():
+                return
+            block, numbers = block.take(new), numbers[new]
+        self.frames_in += len(block)
+        self.blocks_in += 1
+        for sink in self.sinks:
+            sink.put(block)
+        self._pass_on(self._partitioner.add(block, now, numbers))
+
+    def _mark(self) -> None:
+        """Note where the source is, now and then."""
+        if time.monotonic() >= self._next_mark:
+            self._next_mark = time.monotonic() + MARK_EVERY_S
+            self.marks.add(Mark(self._number, self._source.position()))
 
     def _fits(self, block: CsiBlock) -> bool:
         array = self._source.array
@@ -113,10 +166,10 @@ class Reader:
                 "out_of_order" if late else "gaps", len(block) if late else block.seq - self._expected
             )
         self._expected = max(block.seq + len(block), self._expected or 0)
-        self.frames_in += len(block)
-        self.blocks_in += 1
         return True
 
     def _pass_on(self, contents: list[ShardBlock]) -> None:
         for content in contents:
             self._queues.put(content)
+        waiting = self._partitioner.waiting_from()
+        self.passed_on = self._number if waiting is None else waiting

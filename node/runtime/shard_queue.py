@@ -1,8 +1,9 @@
-"""What waits for one worker and what it holds unacknowledged. Pure: no sockets, no threads.
+"""What waits for one worker, what it holds, and what its successor would need. Pure: no sockets, no threads.
 
-Both promises of the node are kept here. A *live* shard drops its oldest waiting block when the queue is full
-and counts what a dead worker held; a *lossless* one is full until a block is taken, and hands a dead worker's
-blocks to its successor. At any time: frames put = estimated + dropped + held.
+The promises of the node are kept here. A *live* shard drops its oldest waiting block when the queue is full,
+a *lossless* one is full until a block is taken. What a dead worker held goes to its successor, and so does
+what it had acknowledged since the last snapshot of its state: such blocks are retained, within bounds. At any
+time: frames put = estimated + rejected + dropped + held.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from chachart.node.runtime.partition import ShardBlock
 
 MAX_DEATHS = 3
 """A block whose worker died so often while it was first in line is dropped, not sent again."""
+LEARN = 0.1
+"""Weight of the newest block in the typical time that one takes."""
 
 
 @dataclass(slots=True, eq=False)
@@ -23,13 +26,33 @@ class Entry:
     """A block on its way.
 
     `seq` numbers the blocks of a shard in the order they were first sent, `method` (theta, rho) is what they
-    were first sent to be estimated with: it stays with the block, however often that is sent.
+    were first sent to be estimated with, `round` how often the source had jumped in time then: they stay with
+    the block, however often that is sent.
     """
 
     content: ShardBlock
     seq: int = -1
-    method: tuple[str, str] | None = None
+    method: tuple[str, str] = ("", "")
+    round: int = 0
     deaths: int = 0
+    sent_at: float = 0.0
+    acknowledged: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Handover:
+    """What `ShardQueue.worker_up` found.
+
+    Attributes
+    ----------
+    lost
+        Frames that are in nobody's state any more.
+    ahead
+        Whether the state holds blocks whose results never arrived.
+    """
+
+    lost: int
+    ahead: bool
 
 
 class ShardQueue:
@@ -43,84 +66,216 @@ class ShardQueue:
         Blocks that the worker may hold unacknowledged.
     lossless
         Whether to keep every block.
+    retain_bytes
+        CSI of acknowledged blocks that may be retained until a snapshot covers them.
+
+    Attributes
+    ----------
+    frames_held
+        Frames that wait or are unacknowledged.
+    frames_estimated, frames_replayed
+        Frames since the start; `frames_replayed` went to a successor.
+    rejected, dropped
+        Frames that workers could not use, and those that did not get to one, by reason.
+    state_lost, ues_reset
+        Frames that successors could not be given again, and the UEs they were of.
+    covered_seq
+        The last block that is in a snapshot.
+    retained_bytes
+        CSI that is retained.
+    can_snapshot
+        False while snapshots cannot be written: nothing waits for one then.
+    typical_s
+        How long a block takes from being sent to its acknowledgement; None before the first.
     """
 
-    def __init__(self, capacity: int, credit: int, lossless: bool) -> None:
+    def __init__(self, capacity: int, credit: int, lossless: bool, retain_bytes: int = 0) -> None:
         self._capacity = capacity
         self._credit = credit
         self._lossless = lossless
+        self._retain_bytes = retain_bytes
         self._waiting: deque[Entry] = deque()
+        self._again: deque[Entry] = deque()
         self._unacknowledged: dict[int, Entry] = {}
+        self._retained: deque[Entry] = deque()
+        self._unretained_ues: set[int] = set()
+        self._unretained_seq = -1
         self._next_seq = 0
         self.frames_held = 0
         self.frames_estimated = 0
         self.frames_replayed = 0
+        self.rejected = Counters()
         self.dropped = Counters()
+        self.state_lost = 0
+        self.ues_reset = 0
+        self.covered_seq = -1
+        self.retained_bytes = 0
+        self.can_snapshot = retain_bytes > 0
+        self.typical_s: float | None = None
 
     @property
     def full(self) -> bool:
         """Whether a lossless source must wait before the next `put`."""
-        return len(self._waiting) >= self._capacity
+        waits = self.can_snapshot and self.retained_bytes >= self._retain_bytes
+        return waits or len(self._waiting) >= self._capacity
+
+    @property
+    def half_retained(self) -> bool:
+        """Whether it is time for a snapshot, lest blocks have to go that are not in one."""
+        return self.retained_bytes > self._retain_bytes / 2
+
+    @property
+    def replaying(self) -> bool:
+        """Whether the worker still lacks what its predecessor had."""
+        return bool(self._again) or any(entry.acknowledged for entry in self._unacknowledged.values())
+
+    @property
+    def last_seq(self) -> int:
+        """The last block that was sent."""
+        return self._next_seq - 1
 
     @property
     def blocks_held(self) -> int:
-        """Blocks that wait or are unacknowledged."""
-        return len(self._waiting) + len(self._unacknowledged)
+        """Blocks that wait or are unacknowledged, those included that a successor gets again."""
+        return len(self._waiting) + len(self._again) + len(self._unacknowledged)
+
+    @property
+    def unsent_from(self) -> int | None:
+        """The reader's number of the first frame that waits, or None."""
+        return self._waiting[0].content.start if self._waiting else None
+
+    def oldest_sent_at(self) -> float | None:
+        """When the oldest block was sent that is not acknowledged, or None."""
+        return next((entry.sent_at for entry in self._unacknowledged.values()), None)
 
     def put(self, content: ShardBlock) -> None:
         """Add a block; a live queue that is full drops its oldest and counts it as `queue_full`."""
-        if self.full and not self._lossless:
+        if not self._lossless and len(self._waiting) >= self._capacity:
             self._drop(self._waiting.popleft(), "queue_full")
         self._waiting.append(Entry(content))
         self.frames_held += len(content.block)
 
-    def next_to_send(self, method: tuple[str, str]) -> Entry | None:
+    def next_to_send(self, method: tuple[str, str], now: float = 0.0, round_: int = 0) -> Entry | None:
         """The next block for the worker, from now on unacknowledged; None without block or credit."""
-        if not self._waiting or len(self._unacknowledged) >= self._credit:
+        if len(self._unacknowledged) >= self._credit or not (self._again or self._waiting):
             return None
-        entry = self._waiting.popleft()
-        if entry.seq < 0:
-            entry.seq = self._next_seq
+        if self._again:
+            entry = self._again.popleft()
+        else:
+            entry = self._waiting.popleft()
+            entry.seq, entry.method, entry.round = self._next_seq, method, round_
             self._next_seq += 1
-            entry.method = method
+        entry.sent_at = now
         self._unacknowledged[entry.seq] = entry
         return entry
 
     def acknowledge(
-        self, seqs: Sequence[int], estimated: int, dropped: Mapping[str, int]
+        self, seqs: Sequence[int], estimated: int, rejected: Mapping[str, int], now: float = 0.0
     ) -> list[ShardBlock]:
-        """The worker is done with the blocks `seqs`; nothing happens if one is not (or no longer) its own."""
+        """The worker is done with the blocks `seqs`; nothing happens if one is not (or no longer) its own.
+
+        Gives the blocks that were not acknowledged before: only their frames are counted.
+        """
         if any(seq not in self._unacknowledged for seq in seqs):
             return []
-        contents = [self._unacknowledged.pop(seq).content for seq in seqs]
-        self.frames_held -= sum(len(content.block) for content in contents)
-        self.frames_estimated += estimated
-        self.dropped.merge(dropped)
-        return contents
+        entries = [self._unacknowledged.pop(seq) for seq in seqs]
+        took = now - entries[0].sent_at
+        self.typical_s = took if self.typical_s is None else self.typical_s + LEARN * (took - self.typical_s)
+        new = [entry for entry in entries if not entry.acknowledged]
+        if new:
+            self.frames_estimated += estimated
+            self.rejected.merge(rejected)
+        for entry in new:
+            entry.acknowledged = True
+            self.frames_held -= len(entry.content.block)
+            self._retain(entry)
+        return [entry.content for entry in new]
+
+    def cover(self, seq: int) -> None:
+        """A snapshot has everything up to that block: what was retained for it may go."""
+        self.covered_seq = max(self.covered_seq, seq)
+        while self._retained and self._retained[0].seq <= seq:
+            self.retained_bytes -= self._retained.popleft().content.block.csi.nbytes
+        if self._unretained_seq <= seq:
+            self._unretained_ues.clear()
 
     def worker_lost(self) -> int:
-        """The worker is dead: gives how many frames wait for its successor (0 for a live queue)."""
+        """The worker is dead: gives how many frames that it had not acknowledged wait for its successor."""
         held = list(self._unacknowledged.values())
         self._unacknowledged.clear()
-        if not self._lossless:
-            for entry in held:
-                self._drop(entry, "worker_lost")
-            return 0
         if held:
             held[0].deaths += 1
             if held[0].deaths >= MAX_DEATHS:
-                self._drop(held.pop(0), "worker_killer")
-        self._waiting.extendleft(reversed(held))
-        frames = sum(len(entry.content.block) for entry in held)
+                self._kill(held.pop(0))
+        self._again.extendleft(reversed(held))
+        frames = sum(len(entry.content.block) for entry in held if not entry.acknowledged)
         self.frames_replayed += frames
         return frames
 
+    def worker_up(self, applied: int, estimated: int, rejected: Mapping[str, int], ues: int) -> Handover:
+        """A worker has come up; it gets everything that followed what is in its state.
+
+        Parameters
+        ----------
+        applied
+            The last block that is in its state, -1 for none.
+        estimated, rejected
+            What became of all frames up to there.
+        ues
+            How many UEs its predecessor had.
+        """
+        acknowledged = self.frames_estimated + self.rejected.total()
+        known = estimated + sum(rejected.values())
+        ahead = [entry for entry in self._again if not entry.acknowledged and entry.seq <= applied]
+        if ahead or self._next_seq == 0:
+            # Its predecessor died before it could say so, or it was there before this queue: it knows.
+            self.frames_held -= sum(len(entry.content.block) for entry in ahead)
+            self.frames_estimated, self.rejected = estimated, Counters()
+            self.rejected.merge(rejected)
+            self._next_seq = max(self._next_seq, applied + 1)
+            acknowledged = known
+        behind = [entry for entry in self._retained if entry.seq > applied]
+        unsent = [entry for entry in self._again if not entry.acknowledged and entry.seq > applied]
+        self._again = deque(behind + unsent)
+        again = sum(len(entry.content.block) for entry in behind)
+        self.frames_replayed += again
+        lost = acknowledged - known - again
+        if lost:
+            self.state_lost += lost
+            self.ues_reset += len(self._unretained_ues) or ues
+        self._unretained_ues.clear()
+        return Handover(lost, bool(ahead))
+
     def abandon(self, reason: str) -> None:
         """Drop all that is held and count it."""
-        for entry in [*self._unacknowledged.values(), *self._waiting]:
-            self._drop(entry, reason)
+        for entry in [*self._unacknowledged.values(), *self._again, *self._waiting]:
+            if not entry.acknowledged:
+                self._drop(entry, reason)
         self._unacknowledged.clear()
+        self._again.clear()
         self._waiting.clear()
+
+    def _retain(self, entry: Entry) -> None:
+        if not self._retain_bytes:
+            return
+        self._retained.append(entry)
+        self.retained_bytes += entry.content.block.csi.nbytes
+        waits = self._lossless and self.can_snapshot
+        while self.retained_bytes > self._retain_bytes and not waits:
+            oldest = self._retained.popleft()
+            self.retained_bytes -= oldest.content.block.csi.nbytes
+            self._unretained_seq = oldest.seq
+            self._unretained_ues.update(oldest.content.block.ue.tolist())
+
+    def _kill(self, entry: Entry) -> None:
+        """Never again send a block that kills workers."""
+        if entry.acknowledged:
+            self._retained.remove(entry)
+            self.retained_bytes -= entry.content.block.csi.nbytes
+            self._unretained_seq = max(self._unretained_seq, entry.seq)
+            self._unretained_ues.update(entry.content.block.ue.tolist())
+        else:
+            self._drop(entry, "worker_killer")
 
     def _drop(self, entry: Entry, reason: str) -> None:
         frames = len(entry.content.block)

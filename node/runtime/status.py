@@ -51,6 +51,11 @@ class NodeStatus:
         requests turned away by reason, trouble is a line of text or None.
     recording
         Where a recording that was started by request goes, or None.
+    state_lost, ues_reset
+        Frames that are in the estimates no more, because they had not been in a snapshot when a process died
+        and could not be had again, and the UEs that they were of.
+    feeder_restarts
+        How often the feeder process had to be started again.
     source_details
         What the source tells about itself.
     """
@@ -80,6 +85,9 @@ class NodeStatus:
     workers: list[dict[str, Any]] = field(default_factory=list)
     sinks: list[dict[str, Any]] = field(default_factory=list)
     recording: str | None = None
+    state_lost: int = 0
+    ues_reset: int = 0
+    feeder_restarts: int = 0
     source_details: dict[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
@@ -90,12 +98,14 @@ class NodeStatus:
 def summary(status: dict[str, Any], latency_ms: dict[str, float | None]) -> dict[str, Any]:
     """What `--summary` writes: the final status, shortened, with the whole run's latency."""
     keys = ("array", "source", "method", "frames_in", "frames_estimated", "dropped", "rejected", "gaps")
+    ues = ("ues", "ues_evicted", "ues_forgotten", "ues_reset")
     return {
-        **{key: status[key] for key in (*keys, "out_of_order", "ues", "ues_evicted", "ues_forgotten")},
+        **{key: status[key] for key in (*keys, "out_of_order", *ues, "state_lost")},
         "seconds": round(status["seconds"], 3),
         "quality": status["quality"],
         "latency_ms": latency_ms,
         "worker_restarts": sum(worker["restarts"] for worker in status["workers"]),
+        "feeder_restarts": status["feeder_restarts"],
         "sinks": status["sinks"],
     }
 

@@ -18,6 +18,7 @@ LONG_LIFE_S = 10.0
 STILLBORN_LIMIT = 5
 """A process that died so often in a row without ever coming up will not do better next time."""
 DEATHS_WINDOW_S = 60.0
+UP_WITHIN_S = 120.0
 
 
 class SupervisedChild:
@@ -33,6 +34,8 @@ class SupervisedChild:
         Called with the process id of one that died, before its successor starts.
     most_deaths
         When it has died so often within a minute, it is given up; None: never for that.
+    starts_over
+        With this exit code it asks to be started again at once, which is no death.
 
     Attributes
     ----------
@@ -48,6 +51,7 @@ class SupervisedChild:
         start: Callable[[], Child],
         on_death: Callable[[int], None],
         most_deaths: int | None = None,
+        starts_over: int | None = None,
     ) -> None:
         self.name = name
         self.child: Child | None = None
@@ -55,6 +59,8 @@ class SupervisedChild:
         self._start = start
         self._on_death = on_death
         self._most_deaths = most_deaths
+        self._starts_over = starts_over
+        self._up = False
         self._started = 0.0
         self._start_at = 0.0
         self._short_lives = 0
@@ -70,17 +76,25 @@ class SupervisedChild:
         code = None if self.child is None else self.child.exit_code()
         if self.child is not None and code:
             self._bury(self.child, code, now)
+        if self.child is not None and not self._up and now - self._started > UP_WITHIN_S:
+            log.error("%s (process %d) did not come up within %.0f s", self.name, self.child.pid, UP_WITHIN_S)
+            self.child.kill()
         if self._stillborn >= STILLBORN_LIMIT:
             return f"{self.name} cannot start: it died {self._stillborn} times in a row"
         if self._most_deaths is not None and len(self._deaths) >= self._most_deaths:
             return f"{self.name} died {len(self._deaths)} times within a minute"
         if self.child is None and now >= self._start_at:
-            self.child, self._started = self._start(), now
+            self.child, self._started, self._up = self._start(), now, False
         return None
 
     def is_up(self) -> None:
         """It has come up."""
-        self._stillborn = 0
+        self._stillborn, self._up = 0, True
+
+    def kill_hung(self, pid: int) -> None:
+        """End it, if it is still that process: it lives but does nothing."""
+        if self.child is not None and self.child.pid == pid:
+            self.child.kill()
 
     def kill(self) -> None:
         """End it now."""
@@ -90,6 +104,10 @@ class SupervisedChild:
     def _bury(self, child: Child, code: int, now: float) -> None:
         child.close()
         self.child = None
+        if code == self._starts_over:
+            self._start_at = now
+            self._on_death(child.pid)
+            return
         self.restarts += 1
         self._stillborn += 1
         self._deaths.append(now)

@@ -63,6 +63,12 @@ class ChartTable:
             self._slots.remove(unseen)
             self.forgotten += len(unseen)
 
+    def remove(self, ue: NDArray[np.uint64]) -> None:
+        """Let go of these UEs, those that are here."""
+        with self._lock:
+            slots = self._slots.lookup(ue)
+            self._slots.remove(slots[slots >= 0])
+
     def chart(self) -> ChartUpdate | None:
         """All rows, or None if there are none."""
         with self._lock:

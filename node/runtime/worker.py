@@ -1,13 +1,16 @@
 """A worker process: takes blocks from the feeder, answers each with its acknowledgement and result in one.
 
 Since both are one message, a block counts as estimated if and only if it is acknowledged: a worker that is
-killed can neither lose a frame nor have it counted twice.
+killed can neither lose a frame nor have it counted twice. What it has learnt from acknowledged frames is in
+its snapshots; blocks since the last one come again to its successor.
 """
 
 from __future__ import annotations
 
 import logging
 import os
+import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,13 +24,17 @@ from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.net.wire import decode_csi
 from chachart.node.runtime import messages
 from chachart.node.runtime.child import read_settings
-from chachart.node.runtime.processor import BlockProcessor, FrameClock
+from chachart.node.runtime.processor import BlockProcessor, FrameClock, Outcome
+from chachart.node.runtime.progress import Mark
+from chachart.node.runtime.worker_state import WorkerState
 
 log = logging.getLogger(__name__)
 
 IDLE_MS = 500
+WRITING_MS = 20
 MERGE_BYTES = 2 * 1024 * 1024
 """Blocks that have queued up are estimated as one up to this size: fewer calls, still within the cache."""
+ROWS_AT_ONCE = 8192
 
 WARM_UP_FRAMES = 64
 
@@ -39,25 +46,35 @@ class Worker:
 
     def __init__(self, settings: dict[str, Any], socket: zmq.Socket[bytes]) -> None:
         self._shard: int = settings["shard"]
+        self._count: int = settings["count"]
         self._merge_frames: int = settings["estimator"]["max_ues"]
         self._array = ArrayGeometry.from_dict(settings["array"])
         self._estimator: dict[str, Any] = settings["estimator"]
         self._processor = BlockProcessor(self._array, self._estimator, FrameClock(live=False))
+        state = settings["state"]
+        folder = None if state["folder"] is None else Path(state["folder"])
+        self._state = WorkerState(folder, self._shard, self._count, state["durable"])
+        self._done = self._state.restore(self._processor)
+        self._snapshot_seq = -1
+        self._snapshot_started = 0.0
         self._socket = socket
         self._put_back: Message | None = None
-        self._last = -1
-        self._round = 0
         self._counters = Counters()
 
     def run(self) -> None:
         """Serve until the feeder says that nothing more will come."""
         warm_up(self._array, self._estimator)
-        hello = {"shard": self._shard, "pid": os.getpid()}
-        self._socket.send_multipart([messages.HELLO, messages.pack(hello)])
-        while (message := self._receive(IDLE_MS)) is None or message[0] != messages.END:
+        self._hello()
+        while (message := self._receive(self._patience_ms())) is None or message[0] != messages.END:
             if message is not None:
                 self._handle(*message)
+            else:
+                self._socket.send_multipart([messages.ALIVE, messages.pack({})])
             self._processor.forget()
+            self._look_at_writer()
+
+    def _patience_ms(self) -> int:
+        return WRITING_MS if self._state.writing else IDLE_MS
 
     def _receive(self, timeout_ms: int) -> Message | None:
         """The message that was put back, or else the next one; None if none comes in time."""
@@ -72,29 +89,52 @@ class Worker:
     def _handle(self, kind: bytes, parts: list[memoryview]) -> None:
         if kind == messages.BLOCK:
             self._blocks(parts)
+        elif kind == messages.SNAPSHOT:
+            self._snapshot(messages.unpack(parts[0]))
         elif kind == messages.CONFIGURE:
-            self._processor.clock.live = messages.unpack(parts[0])["live"]
+            self._configure(messages.unpack(parts[0]))
         elif kind == messages.REQUEST:
             self._request(messages.unpack(parts[0]))
+        elif kind == messages.WHO:
+            self._hello()
+
+    def _hello(self) -> None:
+        hello = {"shard": self._shard, "pid": os.getpid(), "ues": self._processor.ues, **self._done.facts()}
+        self._socket.send_multipart([messages.HELLO, messages.pack(hello)])
+
+    def _configure(self, values: dict[str, Any]) -> None:
+        self._processor.clock.live = values["live"]
+        self._done.estimated += values["lost"]
+        if values["rows"] and (rows := self._processor.rows()) is not None:
+            for part in rows.parts(ROWS_AT_ONCE):
+                self._socket.send_multipart([messages.ROWS, messages.pack({}), messages.pack_update(part)])
 
     def _blocks(self, parts: list[memoryview]) -> None:
         """Estimate this block together with those that wait behind it, and acknowledge them all."""
         first = messages.unpack(parts[0])
-        seqs = [self._number(first)]
+        headers = [first]
         blocks = [decode_csi(parts[1:])]
         frames, size = len(blocks[0]), blocks[0].csi.nbytes
         while (message := self._receive(0)) is not None and message[0] == messages.BLOCK:
             header, block = messages.unpack(message[1][0]), decode_csi(message[1][1:])
             frames, size = frames + len(block), size + block.csi.nbytes
-            if frames > self._merge_frames or size > MERGE_BYTES or _differ(header, first):
+            alike = all(header[key] == first[key] for key in ("method", "round", "again"))
+            if frames > self._merge_frames or size > MERGE_BYTES or not alike:
                 break
-            seqs.append(self._number(header))
+            headers.append(header)
             blocks.append(block)
         self._put_back = message
-        if first["round"] != self._round:
-            self._round = first["round"]
+        if first["round"] != self._done.round:
+            self._done.round = first["round"]
             self._processor.start_over()
         outcome = self._processor.process(CsiBlock.concatenate(blocks), *first["method"])
+        for header in headers:
+            self._count_block(header)
+        self._done.estimated += outcome.estimated
+        self._done.rejected.merge(outcome.dropped)
+        self._answer([header["seq"] for header in headers], outcome, again=first["again"])
+
+    def _answer(self, seqs: list[int], outcome: Outcome, again: bool) -> None:
         answer = {
             "seqs": seqs,
             "estimated": outcome.estimated,
@@ -102,15 +142,43 @@ class Worker:
             "ues": self._processor.ues,
             "counters": {"untrained": self._processor.untrained, **self._counters.as_dict()},
         }
-        result = b"" if outcome.update is None else messages.pack_update(outcome.update)
+        known = outcome.update is None or again
+        result = b"" if known or outcome.update is None else messages.pack_update(outcome.update)
         self._socket.send_multipart([messages.DONE, messages.pack(answer), result])
 
-    def _number(self, header: dict[str, Any]) -> int:
+    def _count_block(self, header: dict[str, Any]) -> None:
         seq: int = header["seq"]
-        if self._last >= 0 and seq != self._last + 1:
-            self._counters.add("gaps" if seq > self._last else "out_of_order")
-        self._last = seq
-        return seq
+        if seq != self._done.seq + 1:
+            self._counters.add("gaps" if seq > self._done.seq else "out_of_order")
+        self._done.seq = seq
+        self._take_mark(header["mark"], header["end"])
+
+    def _take_mark(self, mark: dict[str, Any] | None, below: int) -> None:
+        """All frames of this shard below `below`, and below the mark, are in the state."""
+        if mark is not None:
+            self._done.mark = Mark(**mark)
+        self._done.applied_below(self._count, self._shard, max(below, self._done.mark.frame))
+
+    def _snapshot(self, values: dict[str, Any]) -> None:
+        if self._state.writing:
+            return
+        self._take_mark(values["mark"], 0)
+        self._snapshot_seq, self._snapshot_started = self._done.seq, time.monotonic()
+        try:
+            self._state.begin(self._processor, self._done)
+        except OSError as error:
+            self._tell_snapshot(error.strerror or str(error))
+
+    def _look_at_writer(self) -> None:
+        if self._state.writing:
+            error = self._state.wait()
+            if not self._state.writing:
+                self._tell_snapshot(error)
+
+    def _tell_snapshot(self, error: str | None) -> None:
+        seconds = time.monotonic() - self._snapshot_started
+        answer = {"seq": self._snapshot_seq, "seconds": seconds, "error": error}
+        self._socket.send_multipart([messages.SNAPSHOTTED, messages.pack(answer)])
 
     def _request(self, values: dict[str, Any]) -> None:
         """Answer a request; one that fails, for whatever reason, costs an error message and nothing else."""
@@ -125,11 +193,6 @@ class Worker:
             log.exception("%s failed", values["operation"])
             answer["error"] = f"{values['operation']} failed: {error}"
         self._socket.send_multipart([messages.REPLY, messages.pack(answer)])
-
-
-def _differ(header: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Whether two blocks must not be estimated as one."""
-    return any(header[key] != other[key] for key in ("method", "round"))
 
 
 def warm_up(array: ArrayGeometry, estimator: dict[str, Any]) -> None:

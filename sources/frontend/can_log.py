@@ -65,7 +65,8 @@ class CanLog(Source):
         self._file: IO[Any] | None = None
         self._messages: Iterator[can.Message] = iter(())
         self._next: can.Message | None = None
-        self._first_s = self._latest_s = 0.0
+        self._given = 0
+        self._first_s = self._latest_s = self._paced_from_s = 0.0
         self._started: float | None = None
 
     @classmethod
@@ -110,7 +111,7 @@ class CanLog(Source):
         if self._next is None:
             self.close()
             raise SetupError(f"[source] {path} holds no CAN message")
-        self._first_s = self._latest_s = self._next.timestamp
+        self._first_s = self._latest_s = self._paced_from_s = self._next.timestamp
 
     def recv(self, timeout: float) -> CsiBlock | None:
         """The next frames: as many as a block takes, or at a given pace those that are due.
@@ -135,7 +136,21 @@ class CanLog(Source):
             self._take(self._next)
         if not len(self._intake) and self._next is None:
             raise EndOfSource
-        return self._intake.take()
+        block = self._intake.take()
+        self._given += 0 if block is None else len(block)
+        return block
+
+    def position(self) -> dict[str, Any]:
+        """How many frames it has given."""
+        return {"frames": self._given}
+
+    def resume(self, position: dict[str, Any]) -> None:
+        """Read the frames again that were given, and let them go."""
+        while self._given < position["frames"] and self._next is not None:
+            self._take(self._next)
+            block = self._intake.take()
+            self._given += 0 if block is None else len(block)
+        self._paced_from_s = self._latest_s
 
     def close(self) -> None:
         """Let go of the file."""
@@ -164,7 +179,7 @@ class CanLog(Source):
         """Seconds until the next message is due."""
         if self.settings.speed == 0 or self._next is None or self._started is None:
             return 0.0
-        due = self._started + (self._next.timestamp - self._first_s) / self.settings.speed
+        due = self._started + (self._next.timestamp - self._paced_from_s) / self.settings.speed
         return max(0.0, due - time.monotonic()) if math.isfinite(due) else 0.0
 
     def _take(self, message: can.Message) -> None:

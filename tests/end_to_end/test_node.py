@@ -13,7 +13,7 @@ import odd_sources
 import pytest
 from node_runs import ARRAY, DEADLINE_S, adds_up, capture_blocks, children, until
 
-from chachart.config.settings import QualitySettings, WorkersSettings
+from chachart.config.settings import QualitySettings, StateSettings, WorkersSettings
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import RequestError, SetupError
 from chachart.node.estimation.estimator import ChartEstimator
@@ -37,6 +37,7 @@ def make_node(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         odd: str | None = None,
         loops: int = 1,
         estimator: dict[str, Any] | None = None,
+        state: dict[str, Any] | None = None,
         **workers: Any,
     ) -> Node:
         source: Any = (Recording, RecordingSettings(path=capture, speed=0, loops=loops))
@@ -49,6 +50,7 @@ def make_node(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
                 Options(**{"averaging": "mean", **(estimator or {})}),
                 WorkersSettings(**workers),
                 QualitySettings(every_s=0.2, k=5),
+                StateSettings(**(state or {})),
                 (),
             )
         )
@@ -162,14 +164,17 @@ def test_a_dead_quality_process_is_replaced(make_node: MakeNode, caplog: pytest.
     assert node.close()["quality"]["tw"] > 0.9
 
 
-def test_a_dead_feeder_ends_the_node(make_node: MakeNode) -> None:
+def test_a_feeder_that_dies_three_times_in_a_minute_ends_the_node(make_node: MakeNode) -> None:
     node = make_node(loops=0)
     node.start()
-    until(lambda: node.status()["frames_estimated"], "frames are estimated")
-    os.kill(node.feeder_pid, signal.SIGKILL)
+    for restarts in range(3):
+        until(lambda n=restarts: node.status()["feeder_restarts"] == n, "the feeder is there again")
+        before = node.status()["frames_estimated"]
+        until(lambda b=before: node.status()["frames_estimated"] > b, "frames are estimated")
+        os.kill(node.feeder_pid, signal.SIGKILL)
     assert node.wait(DEADLINE_S)
     assert node.failure is not None
-    assert "feeder process died" in node.failure
+    assert "feeder process died 3 times" in node.failure
     assert adds_up(node.close())
 
 

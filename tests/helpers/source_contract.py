@@ -120,6 +120,26 @@ class SourceContract:
                 with pytest.raises(EndOfSource):
                     source.recv(0.0)
 
+    def test_one_that_can_go_back_goes_on_where_another_was(self, case: SourceCase) -> None:
+        with case.make() as source:
+            case.frames(source, 1)
+            position = source.position()
+            if position is None:
+                return
+            expected = case.frames(source, 20)
+        with case.make() as source:
+            source.resume(msgpack.unpackb(msgpack.packb(position)))
+            assert source.position() == position
+            again = case.frames(source, 20)
+        assert bool(again) == bool(expected)
+        if expected:
+            one, other = CsiBlock.concatenate(expected), CsiBlock.concatenate(again)
+            common = min(len(one), len(other))
+            assert common >= 20 or len(one) == len(other)
+            assert one.seq == other.seq
+            for name in ("ue", "time_ns", "csi"):
+                np.testing.assert_array_equal(getattr(one, name)[:common], getattr(other, name)[:common])
+
     def test_details_go_into_a_status_message(self, case: SourceCase) -> None:
         with case.make() as source:
             case.frames(source, 1)

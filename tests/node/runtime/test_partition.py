@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from chachart.node.data.csi import CsiBlock
 from chachart.node.runtime.partition import Partitioner, ShardBlock, shard_of
@@ -24,8 +25,14 @@ def make_blocks(sizes: list[int], ues: int = 20) -> list[CsiBlock]:
     return blocks
 
 
+def numbers(block: CsiBlock) -> NDArray[np.int64]:
+    return np.arange(block.seq, block.seq + len(block))
+
+
 def run(partitioner: Partitioner, blocks: list[CsiBlock]) -> list[ShardBlock]:
-    blocks_out = [out for now, block in enumerate(blocks) for out in partitioner.add(block, float(now))]
+    blocks_out = [
+        out for now, block in enumerate(blocks) for out in partitioner.add(block, float(now), numbers(block))
+    ]
     return blocks_out + partitioner.flush()
 
 
@@ -48,7 +55,7 @@ def test_every_frame_leaves_once_in_the_order_of_its_ue(
 
 def test_one_shard_passes_blocks_through_without_a_copy() -> None:
     [block] = make_blocks([128])
-    blocks_out = Partitioner(1, 64, 1.0).add(block, 0.0)
+    blocks_out = Partitioner(1, 64, 1.0).add(block, 0.0, numbers(block))
     assert [len(p.block) for p in blocks_out] == [64, 64]
     assert all(np.shares_memory(p.block.csi, block.csi) for p in blocks_out)
     assert [p.block.seq for p in blocks_out] == [0, 64]
@@ -58,8 +65,8 @@ def test_a_block_that_waited_long_enough_is_due() -> None:
     partitioner = Partitioner(1, 64, linger_s=0.005)
     first, second = make_blocks([10, 5])
     assert partitioner.deadline() is None
-    assert partitioner.add(first, 1.0) == []
-    assert partitioner.add(second, 1.004) == []
+    assert partitioner.add(first, 1.0, numbers(first)) == []
+    assert partitioner.add(second, 1.004, numbers(second)) == []
     assert partitioner.deadline() == pytest.approx(1.005)
     assert partitioner.due(1.0049) == []
     [out] = partitioner.due(1.005)

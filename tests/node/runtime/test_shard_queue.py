@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
+
 import numpy as np
 import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.runtime.partition import ShardBlock
 from chachart.node.runtime.shard_queue import MAX_DEATHS, Entry, ShardQueue
@@ -15,7 +18,8 @@ METHOD = ("bartlett", "bartlett")
 
 def shard_block(frames: int = 1, number: int = 0) -> ShardBlock:
     ue, time_ns = np.zeros(frames, np.uint64), np.full(frames, number)
-    return ShardBlock(0, CsiBlock("lab", number, ue, time_ns, np.zeros((frames, 1, 1), np.complex64)), ())
+    block = CsiBlock("lab", number, ue, time_ns, np.zeros((frames, 1, 1), np.complex64))
+    return ShardBlock(0, block, (), number, number + frames)
 
 
 def numbers(entries: list[Entry]) -> list[int]:
@@ -44,27 +48,96 @@ def test_live_queue_drops_its_oldest() -> None:
     assert numbers(take_all(queue)) == [2]
 
 
-def test_lossless_queue_replays_in_order_with_the_same_numbers() -> None:
-    queue = ShardQueue(capacity=8, credit=4, lossless=True)
+def estimate(queue: ShardQueue, entries: list[Entry]) -> int:
+    """Acknowledge blocks all of whose frames were estimated; how many frames."""
+    frames = sum(len(entry.content.block) for entry in entries)
+    queue.acknowledge([entry.seq for entry in entries], frames, {})
+    return frames
+
+
+@pytest.mark.parametrize("lossless", [True, False])
+def test_what_a_dead_worker_held_goes_to_its_successor_with_the_same_numbers(lossless: bool) -> None:
+    queue = ShardQueue(capacity=8, credit=4, lossless=lossless)
     for n in range(6):
         queue.put(shard_block(number=n))
     first = take_all(queue)
-    queue.acknowledge([first[0].seq], 1, {})
+    estimate(queue, first[:1])
     assert queue.worker_lost() == 3
+    queue.worker_up(0, 1, {}, ues=1)
     again = take_all(queue)
     assert numbers(again) == [1, 2, 3, 4]
     assert [entry.seq for entry in again] == [1, 2, 3, 4]
-    assert queue.frames_replayed == 3
+    assert (queue.frames_replayed, queue.state_lost) == (3, 0)
 
 
-def test_live_queue_counts_what_a_dead_worker_held() -> None:
-    queue = ShardQueue(capacity=8, credit=2, lossless=False)
+def test_a_successor_gets_what_its_state_lacks_and_its_frames_do_not_count_twice() -> None:
+    queue = ShardQueue(capacity=8, credit=8, lossless=True, retain_bytes=10_000)
+    for n in range(5):
+        queue.put(shard_block(2, n))
+    sent = take_all(queue)
+    estimate(queue, sent[:4])
+    queue.cover(1)
+    queue.worker_lost()
+    handover = queue.worker_up(1, 4, {}, ues=1)
+    assert (handover.lost, handover.ahead) == (0, False)
+    assert queue.replaying
+    again = take_all(queue)
+    assert [entry.seq for entry in again] == [2, 3, 4]
+    for entry in again:
+        estimate(queue, [entry])
+    assert not queue.replaying
+    assert (queue.frames_estimated, queue.frames_held, queue.state_lost) == (10, 0, 0)
+
+
+def test_a_snapshot_of_which_nobody_heard_counts_what_is_in_it() -> None:
+    queue = ShardQueue(capacity=8, credit=8, lossless=True, retain_bytes=10_000)
     for n in range(3):
-        queue.put(shard_block(5, n))
-    take_all(queue)
-    assert queue.worker_lost() == 0
-    assert queue.dropped.as_dict() == {"worker_lost": 10}
-    assert numbers(take_all(queue)) == [2]
+        queue.put(shard_block(2, n))
+    estimate(queue, take_all(queue)[:1])
+    queue.worker_lost()
+    handover = queue.worker_up(1, 3, {"zero": 1}, ues=1)
+    assert (handover.lost, handover.ahead) == (0, True)
+    assert [entry.seq for entry in take_all(queue)] == [2]
+    assert (queue.frames_estimated, queue.rejected.as_dict(), queue.frames_held) == (3, {"zero": 1}, 2)
+
+
+def test_what_is_beyond_the_bound_is_counted_as_lost_state() -> None:
+    size = shard_block(2).block.csi.nbytes
+    queue = ShardQueue(capacity=8, credit=8, lossless=False, retain_bytes=2 * size)
+    for n in range(6):
+        queue.put(shard_block(2, n))
+    estimate(queue, take_all(queue))
+    queue.worker_lost()
+    assert queue.worker_up(-1, 0, {}, ues=7).lost == 8
+    assert [entry.seq for entry in take_all(queue)] == [4, 5]
+    assert (queue.state_lost, queue.ues_reset, queue.frames_estimated) == (8, 1, 12)
+
+
+def test_a_lossless_queue_waits_for_a_snapshot_unless_there_can_be_none() -> None:
+    size = shard_block(2).block.csi.nbytes
+    queue = ShardQueue(capacity=8, credit=8, lossless=True, retain_bytes=2 * size)
+    for n in range(2):
+        queue.put(shard_block(2, n))
+    estimate(queue, take_all(queue))
+    assert queue.half_retained
+    assert queue.full
+    queue.cover(0)
+    assert not queue.full
+    queue.put(shard_block(2, 2))
+    estimate(queue, take_all(queue))
+    queue.can_snapshot = False
+    assert not queue.full
+
+
+def test_a_new_queue_goes_on_counting_where_the_worker_is() -> None:
+    queue = ShardQueue(capacity=8, credit=8, lossless=True, retain_bytes=10_000)
+    assert queue.worker_up(41, 80, {"zero": 4}, ues=3).lost == 0
+    queue.put(shard_block())
+    assert [entry.seq for entry in take_all(queue)] == [42]
+    assert (queue.frames_estimated, queue.rejected.as_dict()) == (80, {"zero": 4})
+    queue.worker_lost()
+    assert queue.worker_up(20, 40, {}, ues=3).lost == 44
+    assert queue.ues_reset == 3
 
 
 def test_a_block_that_kills_its_workers_is_dropped() -> None:
@@ -74,6 +147,7 @@ def test_a_block_that_kills_its_workers_is_dropped() -> None:
     for _ in range(MAX_DEATHS):
         assert numbers(take_all(queue))[0] == 0
         queue.worker_lost()
+        queue.worker_up(-1, 0, {}, ues=0)
     assert queue.dropped.as_dict() == {"worker_killer": 5}
     assert numbers(take_all(queue)) == [1, 2]
 
@@ -88,14 +162,32 @@ def test_late_and_repeated_acknowledgements_do_not_count(lossless: bool) -> None
     assert queue.frames_estimated == 0
 
 
+@dataclass(frozen=True)
+class State:
+    """What a worker knows."""
+
+    applied: int = -1
+    estimated: int = 0
+    rejected: dict[str, int] = field(default_factory=dict)
+
+    def with_blocks(self, entries: list[Entry], estimated: int, rejected: dict[str, int]) -> State:
+        assert entries[0].seq > self.applied, "nothing is applied twice"
+        counts = Counters()
+        counts.merge(self.rejected)
+        counts.merge(rejected)
+        return State(entries[-1].seq, self.estimated + estimated, counts.as_dict())
+
+
 class QueueMachine(RuleBasedStateMachine):
     """Whatever happens, every frame that was put is estimated, dropped or held, and no other."""
 
-    @initialize(lossless=st.booleans())
-    def start(self, lossless: bool) -> None:
+    @initialize(lossless=st.booleans(), retain_bytes=st.sampled_from([0, 100, 10_000]))
+    def start(self, lossless: bool, retain_bytes: int) -> None:
         self.lossless = lossless
-        self.queue = ShardQueue(capacity=4, credit=3, lossless=lossless)
+        self.queue = ShardQueue(capacity=4, credit=3, lossless=lossless, retain_bytes=retain_bytes)
         self.frames = 0
+        self.state = State()
+        self.snapshots = [State()]
         self.sent: list[Entry] = []
 
     @rule(frames=st.integers(1, 9))
@@ -113,27 +205,47 @@ class QueueMachine(RuleBasedStateMachine):
     @rule(blocks=st.integers(1, 3), rejected=st.booleans())
     def acknowledge(self, blocks: int, rejected: bool) -> None:
         entries, self.sent = self.sent[:blocks], self.sent[blocks:]
+        if len({entry.acknowledged for entry in entries}) > 1:
+            entries, self.sent = entries[:1], entries[1:] + self.sent
         frames = sum(len(entry.content.block) for entry in entries)
-        seqs = [entry.seq for entry in entries]
-        self.queue.acknowledge(seqs, 0 if rejected else frames, {"not_finite": frames} if rejected else {})
+        estimated, lost = (0, {"not_finite": frames}) if rejected else (frames, {})
+        self.state = self.state.with_blocks(entries, estimated, lost)
+        self.queue.acknowledge([entry.seq for entry in entries], estimated, lost)
+
+    @precondition(lambda self: not self.queue.replaying)
+    @rule(heard=st.booleans())
+    def snapshot(self, heard: bool) -> None:
+        self.snapshots.append(self.state)
+        if heard:
+            self.queue.cover(self.state.applied)
 
     @rule()
     def lose(self) -> None:
         self.queue.worker_lost()
         self.sent.clear()
+        self.state = self.snapshots[-1]
+        lost = self.queue.worker_up(self.state.applied, self.state.estimated, self.state.rejected, ues=1).lost
+        self.state = replace(self.state, estimated=self.state.estimated + lost)
 
     @invariant()
     def counts_add_up(self) -> None:
         queue = self.queue
-        assert self.frames == queue.frames_estimated + queue.dropped.total() + queue.frames_held
+        gone = queue.rejected.total() + queue.dropped.total()
+        assert self.frames == queue.frames_estimated + gone + queue.frames_held
         if self.lossless:
-            assert set(queue.dropped.as_dict()) <= {"not_finite", "worker_killer"}
+            assert set(queue.dropped.as_dict()) <= {"worker_killer"}
+
+    @invariant()
+    def only_bounds_lose_state(self) -> None:
+        if self.queue._retain_bytes == 10_000:
+            assert self.queue.state_lost == 0 or self.queue.dropped.total()
 
     def teardown(self) -> None:
         if hasattr(self, "queue"):
             self.queue.abandon("drain_deadline")
             assert self.queue.blocks_held == self.queue.frames_held == 0
-            assert self.frames == self.queue.frames_estimated + self.queue.dropped.total()
+            gone = self.queue.rejected.total() + self.queue.dropped.total()
+            assert self.frames == self.queue.frames_estimated + gone
 
 
 TestQueueMachine = QueueMachine.TestCase

@@ -1,0 +1,138 @@
+"""Snapshots of state: arrays and a few facts in one file that is there whole or not at all.
+
+A file is a zip of `.npy` members, as `numpy.savez` writes them: each has a checksum, and the directory at the
+end is missing where the file was cut. It is written under another name and renamed when it is on the disk.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_FACTS = "facts.json"
+_BROKEN = (
+    OSError,
+    EOFError,
+    ValueError,
+    KeyError,
+    zipfile.BadZipFile,
+    NotImplementedError,
+    RuntimeError,
+    zlib.error,
+    struct.error,
+)
+"""What reading a damaged zip or npy raises."""
+
+
+class SnapshotError(Exception):
+    """A snapshot that is torn, damaged or none at all."""
+
+
+def write_snapshot(
+    path: Path, facts: Mapping[str, Any], arrays: Iterable[tuple[str, NDArray[Any]]], durable: bool
+) -> None:
+    """Write a snapshot in place of what is there.
+
+    Parameters
+    ----------
+    path
+        The file.
+    facts
+        Plain values, as JSON can hold them.
+    arrays
+        Names and arrays, taken one at a time.
+    durable
+        Whether it must outlive the machine, not only the process.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written; what was there is untouched.
+    """
+    new = path.with_name(f"{path.name}.new")
+    try:
+        with new.open("wb") as file:
+            with zipfile.ZipFile(file, "w") as archive:
+                for name, array in arrays:
+                    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                        np.lib.format.write_array(member, np.ascontiguousarray(array), allow_pickle=False)
+                archive.writestr(_FACTS, json.dumps(facts))
+            file.flush()
+            if durable:
+                os.fsync(file.fileno())
+        new.replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            new.unlink()
+        raise
+    if durable:
+        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def read_snapshot(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """The facts and the arrays of a snapshot.
+
+    Raises
+    ------
+    SnapshotError
+        If it is not there, cut or damaged anywhere.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            _check(archive, path.stat().st_size)
+            facts = json.loads(archive.read(_FACTS))
+            arrays = {}
+            for name in archive.namelist():
+                if name != _FACTS:
+                    with archive.open(name) as member:
+                        arrays[name.removesuffix(".npy")] = np.lib.format.read_array(
+                            member, allow_pickle=False
+                        )
+                        if member.read(1):
+                            raise SnapshotError(f"{path} is damaged: {name} is too long")
+    except _BROKEN as error:
+        raise SnapshotError(f"{path} is damaged: {error}") from None
+    if not isinstance(facts, dict):
+        raise SnapshotError(f"{path} is damaged: it has no facts")
+    return facts, arrays
+
+
+def read_facts(path: Path) -> dict[str, Any]:
+    """Only the facts of a snapshot whose arrays may be damaged.
+
+    Raises
+    ------
+    SnapshotError
+        If they cannot be read.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            facts = json.loads(archive.read(_FACTS))
+    except _BROKEN as error:
+        raise SnapshotError(f"{path} is damaged: {error}") from None
+    if not isinstance(facts, dict):
+        raise SnapshotError(f"{path} is damaged: it has no facts")
+    return facts
+
+
+def _check(archive: zipfile.ZipFile, size: int) -> None:
+    """See that no member says it is larger than the file, and that all checksums are right."""
+    for member in archive.infolist():
+        if member.compress_type != zipfile.ZIP_STORED or member.file_size > size:
+            raise SnapshotError(f"{archive.filename} is damaged: {member.filename} cannot be so large")
+    if (bad := archive.testzip()) is not None:
+        raise SnapshotError(f"{archive.filename} is damaged: the checksum of {bad} is wrong")

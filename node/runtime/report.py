@@ -1,0 +1,84 @@
+"""Puts the node's report about itself together from what its parts say."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from chachart.node.runtime.collector import Collector
+from chachart.node.runtime.feeder_process import FeederProcess
+from chachart.node.runtime.plan import Plan
+from chachart.node.runtime.quality_watch import QualityWatch
+from chachart.node.runtime.status import NodeStatus, Rates
+from chachart.node.runtime.supervisor import Supervisor
+
+
+class Reporter:
+    """Makes status reports.
+
+    Parameters
+    ----------
+    plan, collector, feeder, workers, quality
+        The parts.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        collector: Collector,
+        feeder: FeederProcess,
+        workers: Supervisor,
+        quality: QualityWatch,
+    ) -> None:
+        self._plan = plan
+        self._collector = collector
+        self._feeder = feeder
+        self._workers = workers
+        self._quality = quality
+        self._rates = Rates()
+
+    def report(self, state: str, method: dict[str, str], seconds: float) -> dict[str, Any]:
+        """A `NodeStatus` as plain values."""
+        fed, table = self._feeder.status, self._collector.table
+        frames_in, estimated = fed.get("frames_in", 0), fed.get("frames_estimated", 0)
+        rates = self._rates.add(time.monotonic(), frames_in, estimated)
+        workers = self._worker_reports()
+        return NodeStatus(
+            state=state,
+            array=self._plan.array.name,
+            source=self._plan.source_settings.type,
+            method=method,
+            lossless=not self._collector.clock.live,
+            seconds=seconds,
+            blocks_in=fed.get("blocks_in", 0),
+            frames_in=frames_in,
+            frames_estimated=estimated,
+            backlog_frames=sum(worker.get("backlog_frames", 0) for worker in workers),
+            frames_in_per_s=rates[0],
+            frames_estimated_per_s=rates[1],
+            dropped=fed.get("dropped", {}),
+            rejected=fed.get("rejected", {}),
+            gaps=fed.get("gaps", 0),
+            out_of_order=fed.get("out_of_order", 0),
+            ues=len(table),
+            ues_evicted=table.evicted,
+            ues_forgotten=table.forgotten,
+            latency_ms=self._collector.recent_latency_ms(),
+            latency_histogram=self._collector.latency.histogram(),
+            quality=self._quality.latest,
+            workers=workers,
+            sinks=[sink.status() for sink in self._collector.sinks] + fed.get("csi_sinks", []),
+            recording=fed.get("recording"),
+            source_details=fed.get("source", {}),
+            state_lost=self._feeder.total("state_lost"),
+            ues_reset=self._feeder.total("ues_reset"),
+            feeder_restarts=self._feeder.supervised.restarts,
+        ).as_dict()
+
+    def _worker_reports(self) -> list[dict[str, Any]]:
+        children = self._workers.children
+        known = self._feeder.status.get("workers") or [{} for _ in children]
+        return [
+            {"shard": shard, "restarts": child.restarts, "pid": None, "ues": 0, **worker}
+            for shard, (child, worker) in enumerate(zip(children, known, strict=True))
+        ]

@@ -1,0 +1,98 @@
+"""The dispatcher's end of the sockets to the workers: who is there, and when each was last heard of."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import zmq
+
+from chachart.node.net.wire import encode_csi
+from chachart.node.runtime import messages
+from chachart.node.runtime.shard_queue import Entry
+
+Message = tuple[int, bytes, dict[str, Any], list[bytes]]
+
+
+@dataclass(slots=True)
+class Peer:
+    """A worker that has said hello."""
+
+    identity: bytes
+    pid: int
+    heard_at: float
+    status: dict[str, Any] = field(default_factory=dict)
+
+
+class WorkerLinks:
+    """One ROUTER socket for all workers.
+
+    Parameters
+    ----------
+    socket
+        The socket, bound to where workers connect.
+    count
+        How many shards there are, one worker each.
+
+    Attributes
+    ----------
+    peers
+        By shard, the worker that is there, or None.
+    """
+
+    def __init__(self, socket: zmq.Socket[bytes], count: int) -> None:
+        self.peers: list[Peer | None] = [None] * count
+        self._socket = socket
+        self._asked: set[bytes] = set()
+
+    def receive(self) -> Iterator[Message]:
+        """What has come: (shard, kind, values, further parts).
+
+        A worker that is not known, because it talked to a feeder that is dead, is asked to say hello.
+        """
+        while True:
+            try:
+                identity, kind, *parts = self._socket.recv_multipart(zmq.NOBLOCK)
+            except zmq.Again:
+                return
+            values = messages.unpack(parts[0])
+            if kind == messages.HELLO:
+                yield values["shard"], kind, {**values, "identity": identity}, parts[1:]
+                continue
+            for shard, peer in enumerate(self.peers):
+                if peer is not None and peer.identity == identity:
+                    peer.heard_at = time.monotonic()
+                    yield shard, kind, values, parts[1:]
+                    break
+            else:
+                self._ask_who(identity)
+
+    def send(self, shard: int, kind: bytes, values: dict[str, Any]) -> bool:
+        """Send a message; whether there is somebody to send it to."""
+        peer = self.peers[shard]
+        if peer is None:
+            return False
+        self._socket.send_multipart([peer.identity, kind, messages.pack(values)])
+        return True
+
+    def send_block(self, shard: int, entry: Entry, mark: dict[str, Any] | None) -> None:
+        """Send a block, with the latest mark before it where it is newer than the last one sent."""
+        peer = self.peers[shard]
+        assert peer is not None
+        header = {
+            "seq": entry.seq,
+            "method": entry.method,
+            "round": entry.round,
+            "again": entry.acknowledged,
+            "end": entry.content.end,
+            "mark": mark,
+        }
+        parts = [peer.identity, messages.BLOCK, messages.pack(header), *encode_csi(entry.content.block)]
+        self._socket.send_multipart(parts, copy=False)
+
+    def _ask_who(self, identity: bytes) -> None:
+        if identity not in self._asked:
+            self._asked.add(identity)
+            self._socket.send_multipart([identity, messages.WHO, messages.pack({})])

@@ -1,0 +1,246 @@
+"""Whatever is killed whenever: the chart is the one that an undisturbed run gives."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from node_runs import ARRAY, DEADLINE_S, Running, adds_up, capture_blocks, until
+
+from chachart.config.settings import QualitySettings, StateSettings, WorkersSettings
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.csi import CsiBlock
+from chachart.node.estimation.estimator import ChartEstimator
+from chachart.node.estimation.options import Options
+from chachart.node.runtime.node import Node
+from chachart.node.runtime.plan import Plan
+from chachart.sources.recording import Recording, RecordingSettings
+from chachart.sources.simulator import Simulator, SimulatorSettings
+
+LOOPS = 40
+FRAMES = 1000 * LOOPS
+
+MakeNode = Callable[..., Node]
+RunNode = Callable[..., Running]
+
+
+@pytest.fixture(scope="module")
+def undisturbed() -> ChartUpdate:
+    """The chart that the library makes of the same frames."""
+    estimator = ChartEstimator(ARRAY, averaging="mean")
+    frames = CsiBlock.concatenate(capture_blocks())
+    for _ in range(LOOPS):
+        update = estimator.update(frames)
+    return update.take(np.argsort(update.ue))
+
+
+@pytest.fixture
+def make_node(capture: Path) -> Iterator[MakeNode]:
+    """Nodes on the capture at 20 000 frames/s; what still runs is killed."""
+    nodes = []
+
+    def make(count: int = 2, source: Any = None, **state: Any) -> Node:
+        source = source or (Recording, RecordingSettings(path=capture, speed=20, loops=LOOPS))
+        node = Node(
+            Plan(
+                ARRAY,
+                *source,
+                Options(averaging="mean"),
+                WorkersSettings(count=count, block_frames=16),
+                QualitySettings(every_s=0.2, k=5),
+                StateSettings(**state),
+                (),
+            )
+        )
+        nodes.append(node)
+        return node
+
+    yield make
+    for node in nodes:
+        if not node.closed:
+            node.stop(0.1)
+            node.close()
+
+
+def assert_same_chart(node: Node, expected: ChartUpdate) -> None:
+    chart = node.chart()
+    assert chart is not None
+    chart = chart.take(np.argsort(chart.ue))
+    np.testing.assert_array_equal(chart.ue, expected.ue)
+    np.testing.assert_array_equal(chart.snapshots, expected.snapshots)
+    for name in ("theta", "rho", "theta_std", "rho_std", "x", "y"):
+        np.testing.assert_allclose(chart.columns[name], expected.columns[name], rtol=1e-5, err_msg=name)
+
+
+def finish(node: Node) -> dict[str, Any]:
+    assert node.wait(DEADLINE_S)
+    assert node.failure is None
+    return node.close()
+
+
+def assert_nothing_is_lost(summary: dict[str, Any]) -> None:
+    assert summary["frames_in"] == summary["frames_estimated"] == FRAMES
+    assert summary["dropped"] == {}
+    assert (summary["state_lost"], summary["ues_reset"]) == (0, 0)
+
+
+def worker_pid(node: Node, shard: int) -> int:
+    until(lambda: node.status()["workers"][shard]["pid"], f"worker {shard} is there")
+    pid: int = node.status()["workers"][shard]["pid"]
+    return pid
+
+
+def reached(node: Node, frames: int) -> None:
+    until(lambda: node.status()["frames_estimated"] >= frames, f"{frames} frames are estimated")
+
+
+@pytest.mark.parametrize(("count", "every_s"), [(1, 0.1), (2, 60.0)])
+def test_workers(make_node: MakeNode, undisturbed: ChartUpdate, count: int, every_s: float) -> None:
+    node = make_node(count, every_s=every_s)
+    node.start()
+    for kill in range(3):
+        reached(node, FRAMES * (kill + 1) // 5)
+        os.kill(worker_pid(node, kill % count), signal.SIGKILL)
+        until(
+            lambda k=kill: sum(w["restarts"] for w in node.status()["workers"]) == k + 1,
+            "there is a successor",
+        )
+    summary = finish(node)
+    assert summary["worker_restarts"] == 3
+    assert_nothing_is_lost(summary)
+    assert_same_chart(node, undisturbed)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_the_feeder(make_node: MakeNode, undisturbed: ChartUpdate, count: int) -> None:
+    node = make_node(count, every_s=0.3)
+    node.start()
+    for kill in range(2):
+        reached(node, FRAMES * (kill + 1) // 4)
+        os.kill(node.feeder_pid, signal.SIGKILL)
+        until(lambda k=kill: node.status()["feeder_restarts"] == k + 1, "there is a successor")
+    summary = finish(node)
+    assert_nothing_is_lost(summary)
+    assert_same_chart(node, undisturbed)
+
+
+def test_the_feeder_and_a_worker_at_once(make_node: MakeNode, undisturbed: ChartUpdate) -> None:
+    node = make_node(2, every_s=0.3)
+    node.start()
+    reached(node, FRAMES // 3)
+    for pid in (worker_pid(node, 0), node.feeder_pid):
+        os.kill(pid, signal.SIGKILL)
+    summary = finish(node)
+    assert_nothing_is_lost(summary)
+    assert_same_chart(node, undisturbed)
+
+
+def test_a_worker_soon_after_the_feeder(make_node: MakeNode, undisturbed: ChartUpdate) -> None:
+    node = make_node(2, every_s=60.0)
+    node.start()
+    reached(node, FRAMES // 3)
+    os.kill(node.feeder_pid, signal.SIGKILL)
+    until(lambda: node.status()["feeder_restarts"] == 1, "there is a successor")
+    reached(node, FRAMES // 2)
+    os.kill(worker_pid(node, 1), signal.SIGKILL)
+    summary = finish(node)
+    assert_nothing_is_lost(summary)
+    assert_same_chart(node, undisturbed)
+
+
+def test_everything_and_then_resumed_with_more_workers(
+    run_node: RunNode, make_node: MakeNode, undisturbed: ChartUpdate, capture: Path, tmp_path: Path
+) -> None:
+    state = tmp_path / "state"
+    first = run_node(
+        f"""
+        [source]
+        type = "recording"
+        path = "{capture}"
+        speed = 20
+        loops = {LOOPS}
+        [estimator]
+        averaging = "mean"
+        [workers]
+        count = 2
+        block_frames = 16
+        [state]
+        directory = "{state}"
+        every_s = 0.2
+        """,
+        "--resume",
+    )
+    until(lambda: len(list(state.glob("*/worker-*-of-2-*.snapshot"))) == 4, "snapshots are written")
+    first.signal(signal.SIGKILL)
+    first.finish()
+    assert "nothing" in first.said()
+    tear_newest(state)
+    node = make_node(3, every_s=0.2, directory=state, resume=True)
+    node.start()
+    assert node.chart() is None or len(node.chart()) <= 40  # type: ignore[arg-type]
+    summary = finish(node)
+    assert_nothing_is_lost(summary)
+    assert_same_chart(node, undisturbed)
+
+    again = make_node(3, every_s=0.2, directory=state, resume=True)
+    again.start()
+    summary = finish(again)
+    assert_nothing_is_lost(summary)
+    assert_same_chart(again, undisturbed)
+
+
+def tear_newest(state: Path) -> None:
+    """Cut the newest snapshot of one worker and of the main process, as a power cut does."""
+    for series in ("worker-0-of-2", "node"):
+        newest = max(state.glob(f"*/{series}-*.snapshot"))
+        newest.write_bytes(newest.read_bytes()[: newest.stat().st_size // 2])
+
+
+@pytest.fixture
+def make_live(make_node: MakeNode, monkeypatch: pytest.MonkeyPatch) -> MakeNode:
+    """The same nodes with a source that does not wait."""
+
+    def make(**state: Any) -> Node:
+        live = SimulatorSettings(type="simulator", layout="uniform", ues=40, frame_rate_hz=2000.0)
+        return make_node(1, (Simulator, live), **state)
+
+    return make
+
+
+@pytest.mark.parametrize("victim", ["worker", "feeder"])
+def test_a_live_source_goes_on_and_what_cannot_be_had_again_is_counted(
+    make_live: MakeNode, victim: str
+) -> None:
+    node = make_live(every_s=0.3)
+    node.start()
+    reached(node, 2000)
+    pid = worker_pid(node, 0) if victim == "worker" else node.feeder_pid
+    os.kill(pid, signal.SIGKILL)
+    frames = node.status()["frames_estimated"]
+    reached(node, frames + 2000)
+    node.stop()
+    summary = finish(node)
+    assert adds_up(summary)
+    assert set(summary["dropped"]) <= {"feeder_lost", "queue_full"}
+    assert (summary["state_lost"], summary["ues_reset"]) == (0, 0)
+    chart = node.chart()
+    assert chart is not None
+    assert (chart.snapshots > 30).all(), "what was learnt goes on"
+
+
+def test_without_snapshots_what_is_lost_is_told(make_live: MakeNode) -> None:
+    node = make_live(every_s=0)
+    node.start()
+    reached(node, 2000)
+    os.kill(worker_pid(node, 0), signal.SIGKILL)
+    until(lambda: node.status()["state_lost"], "it is told")
+    assert node.status()["ues_reset"] == 40
+    node.stop()
+    summary = finish(node)
+    assert adds_up(summary)
+    assert summary["state_lost"] >= 2000
