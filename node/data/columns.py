@@ -122,11 +122,18 @@ _ALL = (
     Column("ue", "uint64", "UE", "Which UE.", decimals=0),
     Column("time_ns", "int64", "time", "Time of the last frame behind the estimate.", "ns", decimals=0),
     Column("theta", "float64", "θ", "Cone angle from the array's axis, 0 to π.", "rad", 6),
+    Column("azimuth", "float64", "azimuth", "From the array's normal to its right.", "rad", 6, optional=True),
+    Column("elevation", "float64", "elevation", "From the array's horizon upwards.", "rad", 6, optional=True),
     Column("rho", "float64", "ρ", "Slant range from the middle of the array.", "m"),
     Column("theta_std", "float64", "± θ", "Standard deviation of theta.", "rad", 6, optional=True),
+    Column("azimuth_std", "float64", "± azimuth", "Standard deviation of azimuth.", "rad", 6, optional=True),
+    Column(
+        "elevation_std", "float64", "± elevation", "Standard deviation of elevation.", "rad", 6, optional=True
+    ),
     Column("rho_std", "float64", "± ρ", "Standard deviation of rho.", "m", optional=True),
-    Column("x", "float64", "x", "Chart coordinate towards the array's broadside.", "m"),
-    Column("y", "float64", "y", "Chart coordinate along the array's axis.", "m"),
+    Column("x", "float64", "x", "Towards a line's broadside; in the world for other arrays.", "m"),
+    Column("y", "float64", "y", "Along a line's axis; in the world for other arrays.", "m"),
+    Column("z", "float64", "z", "Height in the world.", "m", optional=True),
     Column("snr", "float64", "SNR", "Signal to noise ratio.", "dB", 2),
     Column("snapshots", "float64", "frames", "Effective number of frames behind the estimate.", decimals=1),
     Column(

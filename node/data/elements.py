@@ -58,6 +58,19 @@ def check(elements: Any, count: int, least_m: float) -> None:
         raise ValueError("elements must be in different places; they are in metres")
 
 
+def first_of_line(
+    elements: Floats,
+    position_m: tuple[float, ...] = (0.0, 0.0, 0.0),
+    axis: tuple[float, ...] = (0.0, 1.0, 0.0),
+    broadside: tuple[float, ...] = (1.0, 0.0, 0.0),
+    **_: Any,
+) -> tuple[float, float, float]:
+    """World position of element 0 in a frame with this pose."""
+    frame = np.stack([axis, np.cross(broadside, axis), broadside])
+    x, y, z = (np.asarray(position_m) + elements[0] @ frame).tolist()
+    return (x, y, z)
+
+
 def least_distance(elements: Floats) -> float:
     """Between any two elements; 0 where two coincide."""
     apart = np.linalg.norm(elements[:, None] - elements, axis=2)

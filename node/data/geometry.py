@@ -230,6 +230,11 @@ class ArrayGeometry(Pose):
         """
         places = np.asarray(elements, np.float64)
         layouts.check(places, len(places), 0.0)
+        board = layouts.lattice(places) if len(places) > 1 else None
+        if board is not None and board.rows == 1 and (board.column == np.arange(len(places))).all():
+            others["position_m"] = layouts.first_of_line(places, **others)
+            across = float(board.column_spacing_m)
+            return cls(name, len(places), subcarriers, carrier_hz, subcarrier_spacing_hz, across, **others)
         light = others.get("light_speed_m_s", SPEED_OF_LIGHT)
         apart = layouts.least_distance(places) if len(places) > 1 else light / carrier_hz / 2
         return cls(

@@ -38,7 +38,12 @@ class Pose:
 
     @property
     def is_line(self) -> bool:
-        """Whether it is a uniform line along `axis`, numbered that way, which knows theta alone."""
+        """Whether all elements are on one line along `axis`: it knows theta alone."""
+        return self.elements is None or layouts.on_one_line(self.own_elements)
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether it is a line of even steps along `axis`, numbered that way."""
         return self.elements is None
 
     @property
@@ -79,7 +84,7 @@ class Pose:
         towards = {"front": (0.0, 0.0, 1.0), "below": (0.0, -1.0, 0.0), "above": (0.0, 1.0, 0.0)}
         if self.sees is not None:
             return None if self.sees == "all" else np.array(towards[self.sees])
-        plane = None if self.is_line else layouts.mirror(self.own_elements)
+        plane = None if self.elements is None else layouts.mirror(self.own_elements)
         if plane is None:
             return None
         return -plane if abs(plane[1]) > 1 - 1e-6 else plane

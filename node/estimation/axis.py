@@ -66,6 +66,11 @@ class SpectralAxis(SlotState):
         product: Complex = np.matmul(x, conjugate.swapaxes(1, 2))
         return product
 
+    def energy(self, kept: Complex) -> NDArray[Any]:
+        """Sum of |h|^2 of each frame (K,)."""
+        total: NDArray[Any] = kept[:, 0].real if kept.ndim == 2 else np.einsum("kii->k", kept).real
+        return total
+
     def take(self, group: Grouping, features: Complex) -> Complex:
         """Take what is kept of a block's frames; returns the sums of its UEs."""
         sums: Complex = self._bank.add(group, features)

@@ -38,6 +38,17 @@ def stochastic_std(lattice: Lattice, snapshots: Any, snr: Any) -> Floats:
     return std
 
 
+def information_scale(size: int, snapshots: Any, snr: Any) -> Floats:
+    """What makes Fisher information of a direction out of the phases of elements, in the stochastic bound.
+
+    With phi_n the phases of the steering vector, the information on parameters i and j is the scale times
+    sum_n (d_i phi_n - mean) (d_j phi_n - mean), whatever the array (Stoica and Nehorai 1990).
+    """
+    ratio = np.asarray(snr, np.float64)
+    scale: Floats = 2 * np.asarray(snapshots, np.float64) * ratio / (1 + 1 / (size * ratio))
+    return scale
+
+
 def mvdr_excess(size: int, snapshots: Any, snr: Any, loading: float) -> Floats:
     """How many times the stochastic bound the variance of loaded MVDR is, because R's inverse is noisy too.
 

@@ -45,7 +45,8 @@ class ChartEstimator:
         subcarriers), `zero` (all of it), `not_finite`, `out_of_range` (too large or too small for single
         precision), `no_estimate` (frames that stay in the average, but the method finds no direction in it,
         as MVDR without loading where it cannot be inverted), `untrained` (rows without a range: rho = "lr"
-        before two UEs with a position were seen).
+        before two UEs with a position were seen), `above_plane` (rows of directions without a range that do
+        not meet the plane of the UEs).
 
     Raises
     ------
@@ -66,8 +67,6 @@ class ChartEstimator:
     """
 
     def __init__(self, array: ArrayGeometry, **options: Unpack[Keywords]) -> None:
-        if not array.is_line:
-            raise ValueError("array must be a uniform line: directions of others are not estimated yet")
         self.array = array
         self.options = Options.of(**options)
         self.rejected = Counters()
@@ -286,7 +285,7 @@ class ChartEstimator:
     ) -> ChartUpdate:
         for name, kept in self._memory.latest.items():
             kept.rows[group.slots] = at[name]
-        x, y = self._chart_xy(at["theta"], at["rho"])
+        x, y = self._chart_xy(at)
         update = ChartUpdate(
             block.array,
             self.method,
@@ -298,20 +297,33 @@ class ChartEstimator:
             **{name: values for name, values in at.items() if name in COLUMNS},
         )
         found = np.isfinite(at["theta"])
-        good = found & np.isfinite(at["rho"])
+        trained = found & np.isfinite(at["rho"])
+        good = trained & np.isfinite(x)
         if good.all():
             return update
         if lost := int(group.counts[~found].sum()):
             self.rejected.add("no_estimate", lost)
-        if untrained := int((found & ~good).sum()):
+        if untrained := int((found & ~trained).sum()):
             self.rejected.add("untrained", untrained)
+        if unmet := int((trained & ~good).sum()):
+            self.rejected.add("above_plane", unmet)
         return update.take(good)
 
-    def _chart_xy(self, theta: NDArray[Any], rho: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Chart coordinates; directions alone lie on the unit circle, whatever the array's height."""
-        if self.options.rho == NONE:
-            return np.sin(theta), np.cos(theta)
-        return self.array.chart_xy(theta, rho)
+    def _chart_xy(self, at: Columns) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Chart coordinates; of arrays that are no line world metres, and z among the columns.
+
+        Directions alone lie on a circle of radius 1, or where they meet the plane of the UEs.
+        """
+        theta, rho = at["theta"], at["rho"]
+        alone = self.options.rho == NONE
+        if self.array.is_line or "direction" not in at:
+            return (np.sin(theta), np.cos(theta)) if alone else self.array.chart_xy(theta, rho)
+        if alone and self.array.height_m is not None and "elevation" in at:
+            rho = np.full(len(rho), np.nan)
+        elif alone:
+            return at["direction"] @ self.array.frame[:, 0], at["direction"] @ self.array.frame[:, 1]
+        x, y, at["z"] = self.array.world_of(at["direction"], rho).T
+        return x, y
 
     def _nothing(self) -> ChartUpdate:
         needed = {column.name: column.missing(0) for column in COLUMNS.values() if not column.optional}

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
+from chachart.node.data.elements import lattice, partners
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.lattice import Lattice
-from chachart.node.estimation.options import JOINT, SPECTRAL, Options
+from chachart.node.estimation.options import JOINT, NONE, SPECTRAL, Options
 
 MATRIX_LIMIT = 512
 """Methods that need the covariance itself keep N x N numbers a UE; beyond this size they are refused."""
@@ -21,15 +24,18 @@ JOINT_LEAST = 4
 def misfits(options: Options, array: ArrayGeometry) -> Iterator[tuple[str, str]]:
     """Options that do not go with the array: the name of each, and what it must be."""
     antennas, tones = Lattice.of_antennas(array)[0], Lattice.of_tones(array)[0]
+    if not array.is_uniform:
+        antennas = Lattice.even(int(array.live_antennas.sum()))
+        yield from _directions(options, array)
     if options.theta == JOINT:
         yield from _joint(antennas, tones)
-    for name, method, lattice, elements in (
+    for name, method, row, elements in (
         ("theta", options.theta, antennas, "antennas"),
         ("rho", options.rho, tones, "subcarriers"),
     ):
         if method in SPECTRAL:
-            yield from _axis(name, method, lattice.size, elements)
-            if options.forward_backward and not lattice.symmetric:
+            yield from _axis(name, method, row.size, elements)
+            if options.forward_backward and not row.symmetric:
                 yield "forward_backward", f"must be off: these {elements} are not their own mirror image"
     if options.delay == "relative" and options.rho in (*SPECTRAL, JOINT):
         yield (
@@ -48,6 +54,21 @@ def unreachable(options: Options, array: ArrayGeometry) -> Iterator[tuple[str, s
     """Options that ask for more than the array can give: estimates are made, but not quite those."""
     if "rho_max_m" in options.model_fields_set and options.rho_max_m > array.unambiguous_rho_m * 1.001:
         yield "rho_max_m", f"must be at most {array.unambiguous_rho_m:.1f}, where ranges start to repeat"
+
+
+def _directions(options: Options, array: ArrayGeometry) -> Iterator[tuple[str, str]]:
+    """What does not go with an array that is no uniform line."""
+    own = array.own_elements[array.live_antennas]
+    if options.theta == JOINT:
+        yield "theta", 'must not be "joint": it takes a uniform line'
+    if options.theta != NONE and not array.is_line:
+        spread = np.linalg.svd(own - own.mean(axis=0), compute_uv=False) if len(own) > 1 else np.zeros(1)
+        if len(own) < 3 or spread[1] < 1e-3 * spread[0]:
+            yield "theta", 'must be "none": elements on one line see an angle if axis is along that line'
+    if options.forward_backward and options.theta in SPECTRAL and partners(own) is None:
+        yield "forward_backward", "must be off: these elements are not symmetric about their middle"
+    if options.smoothing < 1 and options.theta in (*SPECTRAL[1:],) and lattice(own) is None:
+        yield "smoothing", "must be 1: sub-arrays that look alike take a line or a board"
 
 
 def _axis(name: str, method: str, size: int, elements: str) -> Iterator[tuple[str, str]]:

@@ -41,6 +41,11 @@ class Options(Settings):
     """With signal_order = "threshold": eigenvalues above this fraction of the largest are signal."""
     forward_backward: bool = False
     """Average each covariance with its conjugate mirror image."""
+    smoothing: float = Field(1.0, ge=0.5, le=1)
+    """Sub-arrays that span so much of rows and columns are averaged, for coherent echoes; 1: none. Not for
+    Bartlett, which does not mind them."""
+    elevation: bool = True
+    """Look for azimuth and elevation; false: for azimuth alone, all UEs being at the array's own height."""
     loading: float = Field(0.05, ge=0)
     """Diagonal loading of MVDR, as a fraction of the mean eigenvalue."""
     theta_step_deg: float | None = Field(None, ge=0.01, le=10)
@@ -130,6 +135,8 @@ class Keywords(TypedDict, total=False):
     signal_order: int | Literal["threshold", "mdl"]
     order_threshold: float
     forward_backward: bool
+    smoothing: float
+    elevation: bool
     loading: float
     theta_step_deg: float | None
     rho_step_m: float | None

@@ -12,6 +12,7 @@ from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.amplitude import AmplitudeSum, ranging
 from chachart.node.estimation.axis import SpectralAxis
 from chachart.node.estimation.covariance import Bank, Grouping, Weights
+from chachart.node.estimation.directions.axis import DirectionAxis
 from chachart.node.estimation.locator import Columns, Features, Locator
 from chachart.node.estimation.manifold import AngleManifold, DelayManifold
 from chachart.node.estimation.noise import NoiseFloor
@@ -30,22 +31,28 @@ class SeparateLocator(Locator):
     """Angle from the covariance over antennas, range from that over subcarriers or from the amplitude.
 
     Either may be "none"; what is left then tells signal from noise. Power alone, of one antenna and one
-    tone, has no noise to be told from.
+    tone, has no noise to be told from. Arrays that are no uniform line have directions for an angle.
     """
 
     def __init__(self, array: ArrayGeometry, options: Options) -> None:
         step = None if options.theta_step_deg is None else np.radians(options.theta_step_deg)
-        angle, delay = AngleManifold.of(array), DelayManifold.of(array, options.rho_max_m)
+        delay = DelayManifold.of(array, options.rho_max_m)
+        antennas = int(array.live_antennas.sum())
         self._array, self._weights = array, Weights(options.decay)
-        self._elements = angle.size * delay.size
-        self._theta = self._rho = self._level = None
+        self._elements = antennas * delay.size
+        self._theta: SpectralAxis | DirectionAxis | None = None
+        self._rho: SpectralAxis | None = None
+        self._level: SpectralAxis | None = None
         super().__init__(weights=self._weights)
-        self._takers: dict[str, SpectralAxis | AmplitudeSum] = {}
-        if options.theta != NONE:
-            self._theta = SpectralAxis("theta", options.theta, angle, step, delay.size, options)
-            self._takers["theta"] = self._level = self._theta
+        self._takers: dict[str, SpectralAxis | DirectionAxis | AmplitudeSum] = {}
+        if options.theta != NONE and array.is_uniform:
+            angle = AngleManifold.of(array)
+            self._level = SpectralAxis("theta", options.theta, angle, step, delay.size, options)
+            self._takers["theta"] = self._theta = self._level
+        elif options.theta != NONE:
+            self._takers["theta"] = self._theta = DirectionAxis(options.theta, array, delay.size, options)
         if options.rho in AMPLITUDE:
-            self._amplitude = AmplitudeSum(options.amplitude, array.antennas, angle.size, options.decay)
+            self._amplitude = AmplitudeSum(options.amplitude, array.antennas, antennas, options.decay)
             self._ranging = ranging(
                 options.rho,
                 reference=options.isq_reference,
@@ -55,16 +62,15 @@ class SeparateLocator(Locator):
             self._takers["amplitude"] = self._amplitude
             self.children["ranging"] = self._ranging
             if self._level is None and delay.size > 1:
-                self._level = SpectralAxis("level", "bartlett", delay, None, angle.size, options)
+                self._level = SpectralAxis("level", "bartlett", delay, None, antennas, options)
                 self._takers["level"] = self._level
             if self._level is None:
                 self._power = self.children["power"] = Bank((), np.float64, options.decay)
             else:
                 self._floor = NoiseFloor(self._level.manifold.lattice)
         elif options.rho != NONE:
-            self._rho = SpectralAxis("rho", options.rho, delay, options.rho_step_m, angle.size, options)
+            self._rho = SpectralAxis("rho", options.rho, delay, options.rho_step_m, antennas, options)
             self._takers["rho"] = self._rho
-            self._level = self._level or self._rho
         self._amplitudes = options.rho in AMPLITUDE
         self.children |= self._takers
 
@@ -75,14 +81,14 @@ class SeparateLocator(Locator):
         if self._theta is not None:
             kept["theta"] = self._theta.of_frames(csi, conjugate)
         for axis in (self._rho, self._level):
-            if axis is not None and axis is not self._theta and axis.name not in kept:
+            if axis is not None and axis.name not in kept:
                 kept[axis.name] = axis.of_frames(csi.swapaxes(1, 2), conjugate.swapaxes(1, 2))
         if self._amplitudes:
             kept["amplitude"] = self._amplitude.of_frames(csi)
-        if self._level is None:
+        first = self._theta or self._rho or self._level
+        if first is None:
             return Features(energy(csi.reshape(len(csi), -1)), kept)
-        level = kept[self._level.name]
-        return Features(level[:, 0].real if level.ndim == 2 else np.einsum("kii->k", level).real, kept)
+        return Features(first.energy(kept[first.name]), kept)
 
     def estimate(self, group: Grouping, features: Features, position: NDArray[np.float32]) -> Columns:
         """Take a block's frames and locate its UEs; rho is NaN before LR has its training."""
@@ -97,7 +103,7 @@ class SeparateLocator(Locator):
             if axis is not None and axis.name not in at:
                 at |= axis.estimate(group, sums[axis.name], weight, frames)
         at["snapshots"] = frames
-        at["snr"] = 10 * np.log10(at["power"] / at["noise"]) if self._level else np.full(count, np.nan)
+        at["snr"] = 10 * np.log10(at["power"] / at["noise"]) if "power" in at else np.full(count, np.nan)
         if self._theta is None:
             at["theta"], at["theta_std"] = (np.full(count, value) for value in NO_THETA)
         if self._amplitudes:
@@ -125,7 +131,9 @@ class SeparateLocator(Locator):
         if frames[0] == 0:
             return None
         result: dict[str, Any] = {}
-        if self._theta is not None:
+        if isinstance(self._theta, DirectionAxis):
+            result |= self._theta.spectrum(slot, float(frames[0]), points)
+        elif self._theta is not None:
             grid, values = self._theta.spectrum(slot, float(frames[0]), points)
             result |= {"theta_grid_rad": grid, "theta_spectrum": values}
         if self._rho is not None:

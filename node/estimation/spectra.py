@@ -40,8 +40,11 @@ def mvdr(r: Complex, loading: float) -> Complex:
     return inverse_cholesky(scaled).conj().swapaxes(1, 2)
 
 
-def minnorm(signal: Complex) -> Complex:
+def minnorm(signal: Complex, ends: NDArray[np.intp] | None = None) -> Complex:
     """X = (I - S Sᴴ) [e_1 e_N] (K, N, 2) from orthonormal signal vectors S (K, N, order).
+
+    `ends` are the elements in place of the first and the last one, the outer ones of an array that is no
+    line.
 
     The vectors of the noise subspace with first (Kumaresan and Tufts 1983) or last element fixed and least
     norm. Either alone leans on one end of the array: a curved wavefront then biases it, and its variance is
@@ -49,8 +52,9 @@ def minnorm(signal: Complex) -> Complex:
     as absent.
     """
     n = signal.shape[1]
-    w: Complex = np.matmul(-signal, signal[:, [0, n - 1]].conj().swapaxes(1, 2))
-    w[:, [0, n - 1], [0, 1]] += w.real.dtype.type(1)
+    fixed = np.array([0, n - 1]) if ends is None else ends
+    w: Complex = np.matmul(-signal, signal[:, fixed].conj().swapaxes(1, 2))
+    w[:, fixed, np.arange(len(fixed))] += w.real.dtype.type(1)
     return w
 
 

@@ -1,0 +1,1 @@
+"""Directions in azimuth and elevation, for arrays that are no uniform line."""
