@@ -37,8 +37,6 @@ class Column:
         Whether rows may be without it; what every row has is typed in `ChartUpdate`.
     parts
         Of a column with several numbers a row, what each is called.
-    lasting
-        Whether a value that was known once stays known where newer rows do not tell it.
     """
 
     name: str
@@ -49,7 +47,6 @@ class Column:
     decimals: int = 3
     optional: bool = False
     parts: tuple[str, ...] = ()
-    lasting: bool = False
 
     @property
     def fill(self) -> float:
@@ -144,7 +141,6 @@ _ALL = (
         "m",
         optional=True,
         parts=("x", "y", "z"),
-        lasting=True,
     ),
 )
 COLUMNS: dict[str, Column] = {column.name: column for column in _ALL}

@@ -46,7 +46,7 @@ class Locator(SlotState):
 
     @abstractmethod
     def estimate(self, group: Grouping, features: Features, position: NDArray[np.float32]) -> Columns:
-        """Take a block's frames and locate its UEs; `position` (U, 3) is NaN where unknown.
+        """Take a block's frames and locate its UEs; `position` (U, 3) is NaN where they do not tell it.
 
         There are at least theta, rho, theta_std, rho_std, snr and snapshots.
         """

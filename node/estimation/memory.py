@@ -19,18 +19,25 @@ class Memory(SlotState):
 
     Attributes
     ----------
-    table, position, latest, locator
-        See there; `latest` by column.
+    table, locator
+        See there.
+    position, position_ns, latest
+        By slot: the last known position, when it was known, and the last row by column.
     """
 
     def __init__(self, max_ues: int, locator: Locator) -> None:
         self.table = SlotTable(max_ues)
         self.position = Bank((3,), np.float32, empty=np.nan)
+        self.position_ns = Bank((), np.int64)
         self.latest = {name: Bank((), np.float64, empty=np.nan) for name in LATEST}
         self.locator = locator
         self._copy: Copy | None = None
         super().__init__(
-            table=self.table, position=self.position, latest=SlotState(**self.latest), locator=locator
+            table=self.table,
+            position=self.position,
+            position_ns=self.position_ns,
+            latest=SlotState(**self.latest),
+            locator=locator,
         )
         self.resize(self.table.capacity)
 
@@ -42,7 +49,7 @@ class Memory(SlotState):
         assigned = self.table.assign(ue, time_ns)
         if len(assigned.new):
             self.resize(self.table.capacity)
-            for name in ("position", "latest", "locator"):
+            for name in ("position", "position_ns", "latest", "locator"):
                 self.children[name].clear(assigned.new)
         return assigned
 

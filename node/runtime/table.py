@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.data.chart import ChartUpdate, Method
-from chachart.node.data.columns import COLUMNS, Column
-from chachart.node.estimation.slots import Assignment, SlotTable
+from chachart.node.data.columns import COLUMNS
+from chachart.node.estimation.slots import SlotTable
 from chachart.node.estimation.state import grown
 
 
@@ -37,7 +37,7 @@ class ChartTable:
             return len(self._slots)
 
     def update(self, update: ChartUpdate) -> None:
-        """Take rows; a UE occurs at most once. A known position stays known."""
+        """Take rows; a UE occurs at most once."""
         if len(update) > self._slots.max_ues:
             update = update.take(np.arange(len(update) - self._slots.max_ues, len(update)))
         with self._lock:
@@ -48,7 +48,7 @@ class ChartTable:
             for name, kept in self._columns.items():
                 if len(kept) < self._slots.capacity:
                     self._columns[name] = kept = grown(kept, self._slots.capacity)
-                _put(COLUMNS[name], kept, update.columns.get(name), assignment)
+                kept[assignment.slots] = update.columns.get(name, COLUMNS[name].fill)
             self._latest = (update.array, update.method, update.columns.keys())
 
     def clear(self) -> None:
@@ -87,15 +87,3 @@ class ChartTable:
                     if name in given or COLUMNS[name].known(values).any()
                 },
             )
-
-
-def _put(column: Column, kept: NDArray[Any], values: NDArray[Any] | None, assignment: Assignment) -> None:
-    """Take one column of new rows; where it has none, or a lasting one says nothing, what is due stays."""
-    slots = assignment.slots
-    if column.lasting:
-        kept[assignment.new] = column.fill
-        if values is not None:
-            known = column.known(values)
-            kept[slots[known]] = values[known]
-    else:
-        kept[slots] = column.fill if values is None else values

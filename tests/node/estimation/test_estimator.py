@@ -110,6 +110,25 @@ def test_position_is_the_last_known(los: Build) -> None:
     assert np.array_equal(update.position, position[[0, 2]])
     later = estimator.update(CsiBlock("lab", 0, block.ue, block.time_ns, block.csi))
     assert np.array_equal(later.position, position[[0, 2]])
+    late = np.full(3, 11 * 10**9)
+    much_later = estimator.update(CsiBlock("lab", 0, block.ue, late, block.csi))
+    assert np.isnan(much_later.position).all()
+
+
+@pytest.mark.parametrize("rho", ["isq", "lr"])
+def test_positions_train_only_with_the_frame_that_tells_them(los: Build, rho: str) -> None:
+    """UEs that have moved on since their position was known teach nothing wrong."""
+    world = los(30, far=True)
+    undisturbed, disturbed = (ChartEstimator(world.array, rho=rho, memory_frames=1.0) for _ in range(2))
+    block = world.block(40.0, np.arange(30))
+    for estimator in (undisturbed, disturbed):
+        estimator.update(block)
+    moved = np.roll(np.arange(15), 7)
+    for _ in range(5):
+        disturbed.update(world.block(40.0, moved).csi, ue=np.arange(15), time_ns=1)
+    probe = world.block(40.0, np.arange(15, 30))
+    a, b = (e.update(probe.csi, ue=probe.ue, time_ns=2) for e in (undisturbed, disturbed))
+    assert np.array_equal(a.rho, b.rho)
 
 
 def test_forgetting(los: Build) -> None:

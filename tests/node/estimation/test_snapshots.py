@@ -169,7 +169,7 @@ def test_ues_move_between_estimators(los: Build, options: dict[str, Any]) -> Non
     got = got.take(np.argsort(got.ue))
     assert np.array_equal(got.snapshots, want.snapshots)
     assert got.theta == pytest.approx(want.theta, rel=1e-5)
-    assert got.rho == pytest.approx(want.rho, rel=0.02 if options["rho"] in ("lr", "isq") else 1e-5)
+    assert got.rho == pytest.approx(want.rho, rel=1e-5)
 
 
 def test_more_ues_than_fit_leave_out_the_longest_unseen(los: Build) -> None:

@@ -41,14 +41,17 @@ def test_the_newest_row_of_each_ue_stays() -> None:
     assert chart.method == Method("bartlett", "music")
 
 
-def test_a_known_position_stays_known() -> None:
+def test_a_position_is_known_as_long_as_rows_tell_it() -> None:
     table = ChartTable(10)
     table.update(update([1], 1, 5.0, known=True))
     table.update(update([1, 2], 2, 6.0))
     chart = table.chart()
     assert chart is not None
-    assert chart.position is not None
-    np.testing.assert_array_equal(chart.position, [[5.0] * 3, [np.nan] * 3])
+    assert chart.position is None
+    table.update(update([2], 3, 7.0, known=True))
+    chart = table.chart()
+    assert chart is not None
+    np.testing.assert_array_equal(chart["position"], [[np.nan] * 3, [7.0] * 3])
 
 
 def test_the_oldest_makes_room_and_is_counted() -> None:
