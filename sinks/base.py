@@ -61,6 +61,13 @@ class NodeAccess(Protocol):
             If the UE is not on the chart, or nobody answers in time.
         """
 
+    def antennas(self, ue: int) -> dict[str, Any]:
+        """Level and phase by antenna and by subcarrier of the UE's newest frame, as it came in.
+
+        `antenna_db`, `antenna_phase`, `tone_db`, `tone_phase`, `ue` and `time_ns`; {} until a frame of it
+        comes after it was asked for.
+        """
+
     def set_method(self, theta: str, rho: str) -> dict[str, str]:
         """Estimate with these methods from the next block on; {theta, rho}.
 

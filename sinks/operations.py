@@ -4,6 +4,7 @@
     ues                             who is in the chart
     chart                           the whole chart, as columns
     spectrum   ue                   theta and rho spectra of one UE
+    antennas   ue                   level and phase of its newest frame by antenna and by subcarrier
     recordings                      what is in the recording folder
     set_method theta, rho           estimate with these methods from now on
     replay     paused, speed, at_s  pause, pace and wind a recording that is played; all of them optional
@@ -57,6 +58,11 @@ class _SetMethod(Settings):
     rho: RhoMethod
 
 
+class _Antennas(Settings):
+    op: Literal["antennas"]
+    ue: int = Field(ge=0, lt=2**64)
+
+
 class _Recordings(Settings):
     op: Literal["recordings"]
 
@@ -94,6 +100,7 @@ _Request = (
     | _Ues
     | _Chart
     | _Spectrum
+    | _Antennas
     | _Recordings
     | _SetMethod
     | _Replay
@@ -103,7 +110,7 @@ _Request = (
 )
 _REQUESTS: TypeAdapter[_Request] = TypeAdapter(Annotated[_Request, Field(discriminator="op")])
 
-READING = ("status", "ues", "chart", "spectrum", "recordings")
+READING = ("status", "ues", "chart", "spectrum", "antennas", "recordings")
 """Operations that change nothing."""
 CHANGING = ("set_method", "replay", "start_recording", "stop_recording", "method", "record")
 """Operations that change what the node does, under their newer and older names."""
@@ -153,6 +160,8 @@ class Operations:
                 return self._node.chart_columns()
             case _Spectrum():
                 return self._node.spectrum(asked.ue)
+            case _Antennas():
+                return self._node.antennas(asked.ue)
             case _Recordings():
                 return self.recordings.list()
             case _SetMethod():

@@ -81,7 +81,13 @@ class Dispatcher:
         self._links = WorkerLinks(router, count)
         self._snapshots = SnapshotKeeper(self._queues, self._links, state["every_s"])
         self._requests = FeederRequests(
-            self._terms, source, self._csi_sinks, self._links, self._reply, self._wake
+            self._terms,
+            source,
+            self._reader.antennas,
+            self._csi_sinks,
+            self._links,
+            self._reply,
+            self._wake,
         )
         self._poller = zmq.Poller()
         for socket in (router, self._commands, self._wake_fd):

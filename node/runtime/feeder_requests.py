@@ -13,6 +13,7 @@ import numpy as np
 
 from chachart.node.data.errors import RequestError
 from chachart.node.runtime import messages
+from chachart.node.runtime.antenna_looks import AntennaLooks
 from chachart.node.runtime.csi_sinks import CsiSinks
 from chachart.node.runtime.partition import shard_of
 from chachart.node.runtime.worker_links import WorkerLinks
@@ -34,7 +35,7 @@ class FeederRequests:
 
     Parameters
     ----------
-    terms, source, csi_sinks, links
+    terms, source, antennas, csi_sinks, links
         Whom they are about.
     reply
         Takes answers.
@@ -46,6 +47,7 @@ class FeederRequests:
         self,
         terms: Terms,
         source: Source,
+        antennas: AntennaLooks,
         csi_sinks: CsiSinks,
         links: WorkerLinks,
         reply: Callable[[dict[str, Any]], None],
@@ -53,6 +55,7 @@ class FeederRequests:
     ) -> None:
         self._terms = terms
         self._source = source
+        self._antennas = antennas
         self._csi_sinks = csi_sinks
         self._links = links
         self._reply = reply
@@ -67,6 +70,8 @@ class FeederRequests:
             self._reply({"id": request["id"], "result": arguments})
         elif operation in ("start_recording", "stop_recording"):
             threading.Thread(target=self._record, args=(request,), name="record", daemon=True).start()
+        elif operation == "antennas":
+            self._reply({"id": request["id"], "result": self._antennas.of_ue(arguments["ue"])})
         elif operation == "replay":
             self._replay(request)
         else:

@@ -179,6 +179,9 @@ class Node:
     def spectrum(self, ue: int) -> dict[str, Any]:
         return self._pending.ask("spectrum", {"ue": ue})
 
+    def antennas(self, ue: int) -> dict[str, Any]:
+        return self._pending.ask("antennas", {"ue": ue})
+
     def set_method(self, theta: str, rho: str) -> dict[str, str]:
         return self._pending.ask("set_method", checked_method(self._plan, theta, rho))
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
+from chachart.node.runtime.antenna_looks import AntennaLooks
 from chachart.node.runtime.partition import Partitioner, ShardBlock
 from chachart.node.runtime.progress import Applied, Mark, Marks, missing
 from chachart.node.runtime.shard_queues import ShardQueues
@@ -44,6 +45,8 @@ class Reader:
         When it last had its turn: (monotonic seconds).
     failure
         Why the source failed, where it did.
+    antennas
+        Looks at the antennas now and then.
     """
 
     def __init__(self, source: Source, partitioner: Partitioner, queues: ShardQueues) -> None:
@@ -56,6 +59,7 @@ class Reader:
         self.marks = Marks()
         self.passed_on = 0
         self.stirred = time.monotonic()
+        self.antennas = AntennaLooks(source.array)
         self._source = source
         self._partitioner = partitioner
         self._queues = queues
@@ -110,6 +114,7 @@ class Reader:
             "frames_in": self.frames_in,
             "blocks_in": self.blocks_in,
             "rejected": rejected.as_dict(),
+            "antennas": self.antennas.report(),
             **{"gaps": 0, "out_of_order": 0, **self.order.as_dict()},
         }
 
@@ -132,6 +137,7 @@ class Reader:
         block = self._source.recv(min(max(wait, 0.0), RECV_TIMEOUT_S))
         now = self.stirred = time.monotonic()
         if block is not None and self._fits(block):
+            self.antennas.see(block, now)
             self._take(block, now)
         self._pass_on(self._partitioner.due(now + TIMER_S))
 

@@ -69,6 +69,7 @@ class Reporter:
             workers=workers,
             sinks=[sink.status() for sink in self._collector.sinks] + fed.get("csi_sinks", []),
             recording=fed.get("recording"),
+            antennas=fed.get("antennas", {}),
             source_details=fed.get("source", {}),
             state_lost=self._feeder.total("state_lost"),
             ues_reset=self._feeder.total("ues_reset"),

@@ -56,6 +56,8 @@ class NodeStatus:
         and could not be had again, and the UEs that they were of.
     feeder_restarts
         How often the feeder process had to be started again.
+    antennas
+        How the antennas do: `chachart.node.estimation.antennas.AntennaWatch.report`.
     source_details
         What the source tells about itself.
     """
@@ -88,6 +90,7 @@ class NodeStatus:
     state_lost: int = 0
     ues_reset: int = 0
     feeder_restarts: int = 0
+    antennas: dict[str, Any] = field(default_factory=dict)
     source_details: dict[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:

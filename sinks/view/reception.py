@@ -14,9 +14,11 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, get_args
 
+import numpy as np
 from websockets.exceptions import ConnectionClosed
 
 from chachart.node.data.errors import RequestError
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.methods import RhoMethod, ThetaMethod
 from chachart.node.net.security import Role
 from chachart.sinks.operations import Operations
@@ -80,6 +82,7 @@ class Reception:
                 "page": self._page_id,
                 "may_steer": role >= Role.STEERER,
                 "array": self._hub.array.as_dict(),
+                "places": _places(self._hub.array),
                 "columns": describe(),
                 "methods": {"theta": get_args(ThetaMethod), "rho": get_args(RhoMethod)},
                 "rate_hz": self._hub.rate_hz,
@@ -110,3 +113,16 @@ class Reception:
             viewer.flow(asked["on"])
             return {}
         return await asyncio.to_thread(self._operations.perform, asked, role)
+
+
+def _places(array: ArrayGeometry) -> list[list[float]] | None:
+    """Where elements are, to the right and up (of a flat array: away), seen from the front.
+
+    None of a line, where their numbers say it.
+    """
+    if array.is_line:
+        return None
+    own = array.own_elements
+    spread = np.ptp(own, axis=0)
+    places: list[list[float]] = own[:, [0, 1 if spread[1] >= spread[2] else 2]].round(4).tolist()
+    return places

@@ -75,6 +75,7 @@ class _Collector(Collector):
         yield from self._workers()
         yield from self._sinks()
         yield from self._quality()
+        yield from self._antennas()
 
     def _workers(self) -> Iterator[Metric]:
         workers = self._status["workers"]
@@ -107,6 +108,22 @@ class _Collector(Collector):
         for key, (name, text) in _QUALITY.items():
             if report.get(key) is not None:
                 yield GaugeMetricFamily(name, text, value=report[key])
+
+    def _antennas(self) -> Iterator[Metric]:
+        report = self._status.get("antennas") or {}
+        for key, text in (("power_db", "Power"), ("coherent_db", "Coherent part of the power")):
+            family = GaugeMetricFamily(
+                f"chachart_antenna_{key}", f"{text} of an antenna against the median, dB.", labels=["antenna"]
+            )
+            for number, value in enumerate(report.get(key, [])):
+                family.add_metric([str(number)], value)
+            yield family
+        faults = GaugeMetricFamily(
+            "chachart_antenna_fault", "Antennas that look broken.", labels=["antenna", "fault"]
+        )
+        for number, fault in report.get("faults", {}).items():
+            faults.add_metric([number, fault], 1)
+        yield faults
 
 
 def _by_label(name: str, text: str, label: str, counts: Mapping[str, int]) -> Metric:

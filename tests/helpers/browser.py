@@ -18,6 +18,12 @@ ARGUMENTS = [
     "--disable-component-update",
     "--disable-sync",
 ]
+DRAWN = """(id) => {
+    const canvas = document.querySelector(id);
+    const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+    return canvas.width > 300 && pixels.data.some(Boolean);
+}"""
+"""Whether something is on a canvas."""
 
 
 @contextmanager

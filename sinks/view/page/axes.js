@@ -23,7 +23,7 @@ export function tickText(value, values) {
 export function themeColours() {
   const style = getComputedStyle(document.documentElement);
   return Object.fromEntries(
-    ['plot', 'line', 'text', 'quiet', 'accent', 'a', 'b', 'band', 'shade', 'good', 'warn', 'panel'].map((name) => [name, style.getPropertyValue(`--${name}`).trim()]),
+    ['plot', 'line', 'text', 'quiet', 'accent', 'a', 'b', 'band', 'shade', 'good', 'warn', 'bad', 'panel'].map((name) => [name, style.getPropertyValue(`--${name}`).trim()]),
   );
 }
 

@@ -1,5 +1,6 @@
 // Ties the stream, the chart, the panels and the controls together.
 
+import { showAntennas, showResponse } from './antennas.js';
 import { redraw } from './curve.js';
 import { saveCsv, savePng, stamp } from './export.js';
 import { bindKeys } from './keys.js';
@@ -103,6 +104,7 @@ function takeStatus(status) {
   showNode(status, statuses);
   replay.take(status.source_details?.replay);
   recordings.take(status.recording);
+  showAntennas(status.antennas, hello.array, hello.places);
   pill();
   const on = Boolean(status.recording);
   $('record').setAttribute('aria-pressed', on);
@@ -170,6 +172,10 @@ async function refresh() {
   try {
     const spectrum = await stream.ask('spectrum', { ue: `${ue}` });
     if (picture.ue === ue) showSpectra(spectrum, truth);
+    if ($('response').open) {
+      const found = await stream.ask('antennas', { ue: `${ue}` });
+      if (picture.ue === ue) showResponse(found, !hello.places);
+    }
   } catch (error) {
     if (stream.state !== 'gone') toast(`No spectrum of UE ${ue}: ${error.message}`);
   } finally {
@@ -294,6 +300,7 @@ $('find').addEventListener('submit', (event) => {
 for (const kind of ['theta', 'rho']) $(kind).addEventListener('change', () => changeMethod(kind));
 $('qualityof').addEventListener('change', takeQuality);
 $('historyof').addEventListener('change', refresh);
+$('response').addEventListener('toggle', refresh);
 const clicks = {
   pause, record, png, csv, theme: () => theme(dark() ? 'light' : 'dark'), reset: () => picture.fit(), close: () => select(null),
   in: () => picture.view.zoom(1.4), out: () => picture.view.zoom(1 / 1.4), help: () => $('keys').showModal(), cancel: () => $('recording').close(),

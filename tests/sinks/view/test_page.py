@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import browse, wait
+from browser import DRAWN, browse, wait
 from live_node import LiveNode, free_port, until
 from playwright.sync_api import Page
 
@@ -20,12 +20,6 @@ PLACE = """(row) => {
     return [x, box.y + 1 + pane.y0 - world.py[row] * pane.scale];
 }"""
 """Where on the page a row of the table is drawn."""
-DRAWN = """(id) => {
-    const canvas = document.querySelector(id);
-    const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
-    return canvas.width > 300 && pixels.data.some(Boolean);
-}"""
-"""Whether something is on a canvas."""
 
 
 def all_there(page: Page) -> None:

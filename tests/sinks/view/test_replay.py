@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from chart_logs import write_recording
 from live_node import LiveNode, free_port, until
 
 from chachart.node.commands.main import main
+from chachart.node.files.recording import RecordingReader, RecordingWriter
 
 
 @pytest.fixture
@@ -77,3 +79,32 @@ def test_the_end_of_a_node_is_no_alarm(tmp_path: Path) -> None:
         assert node.stop() == 0
         page.wait_for_selector("#link[data-state=ended]")
         assert "has ended, as it should" in page.inner_text("#gone")
+
+
+def test_a_dead_antenna_is_shown_to_everybody(tmp_path: Path) -> None:
+    reader = RecordingReader(write_recording(tmp_path / "well.mcap"))
+    with RecordingWriter(tmp_path / "ill.mcap", reader.array) as writer:
+        for block in reader.blocks():
+            csi = block.csi.copy()
+            csi[:, 2] *= 1e-3
+            writer.write(replace(block, csi=csi))
+    changes = [
+        "source.loops=0",
+        f"sinks.view.port={free_port()}",
+        f"sinks.control.endpoint=ipc://{tmp_path}/c",
+    ]
+    with (
+        LiveNode.told(tmp_path, "ill.mcap", "--set", *changes) as node,
+        browse(node.address("view")) as (page, complaints),
+    ):
+        page.wait_for_selector("#antennafaults:has-text('antenna 2 dead')")
+        assert node.ask("api/status")["antennas"]["faults"] == {"2": "dead"}
+        assert (
+            'chachart_antenna_fault{antenna="2",fault="dead"} 1.0'
+            in node.get(f"{node.address('view')}metrics")[1]
+        )
+        assert "antenna 2 looks dead" in node.said()
+        page.keyboard.press("n")
+        page.click("#response summary")
+        wait(page, "document.getElementById('uephase').width > 300")
+        assert complaints == []

@@ -1,0 +1,62 @@
+"""Looks at the antennas now and then while frames come in, in the reader's thread."""
+
+from __future__ import annotations
+
+import logging
+import time
+from typing import Any
+
+import numpy as np
+
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.estimation.antennas import AntennaWatch, response
+
+log = logging.getLogger(__name__)
+
+LOOK_EVERY_S = 0.5
+WATCHED_S = 5.0
+"""So long after somebody asked, a UE's newest frame is kept."""
+
+
+class AntennaLooks:
+    """One thread calls `see`, any thread asks."""
+
+    def __init__(self, array: ArrayGeometry) -> None:
+        self._watch = AntennaWatch(array)
+        self._report: dict[str, Any] = {}
+        self._next = 0.0
+        self._watched: tuple[int, float] | None = None
+        self._seen: tuple[int, int, Any] | None = None
+
+    def see(self, block: CsiBlock, now: float) -> None:
+        """A block came in."""
+        watched = self._watched
+        if watched is not None:
+            if now > watched[1]:
+                self._watched = self._seen = None
+            elif len(rows := np.flatnonzero(block.ue == np.uint64(watched[0]))):
+                self._seen = (watched[0], int(block.time_ns[rows[-1]]), block.csi[rows[-1]].copy())
+        if now >= self._next:
+            self._next = now + LOOK_EVERY_S
+            self._watch.look(block)
+            self._tell(self._watch.report())
+
+    def report(self) -> dict[str, Any]:
+        """See `AntennaWatch.report`."""
+        return self._report
+
+    def of_ue(self, ue: int) -> dict[str, Any]:
+        """See `NodeAccess.antennas`."""
+        self._watched = (ue, time.monotonic() + WATCHED_S)
+        seen = self._seen
+        return {} if seen is None or seen[0] != ue else {"ue": ue, "time_ns": seen[1], **response(seen[2])}
+
+    def _tell(self, report: dict[str, Any]) -> None:
+        before, faults = self._report.get("faults", {}), report.get("faults", {})
+        for number, fault in faults.items():
+            if before.get(number) != fault:
+                log.warning("antenna %s looks %s", number, fault)
+        for number in before.keys() - faults.keys():
+            log.info("antenna %s is well again", number)
+        self._report = report
