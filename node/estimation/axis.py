@@ -51,6 +51,7 @@ class SpectralAxis(SlotState):
         shape = (len(manifold.lattice.lags),) if method == "bartlett" else (n, n)
         self._bank = Bank(shape, np.complex64, options.decay)
         self._lags = LagSums(manifold.lattice)
+        self._excess = np.sqrt(minnorm_excess(manifold.lattice)) if method == "minnorm" else 1.0
         super().__init__(bank=self._bank)
         if method in ("music", "minnorm") and isinstance(options.signal_order, int):
             self._tracker = SubspaceTracker(n, options.signal_order)
@@ -115,8 +116,7 @@ class SpectralAxis(SlotState):
             factor = self._factor(r, None, np.array([frames * self.snapshots]))
             c = self._lags.of_products(factor, factor.conj())
         grid = self.manifold.points(points)
-        lags = self.manifold.lattice.lags
-        power = derivatives(np.repeat(c.T, points, axis=1), self.manifold.u(grid), lags)[0]
+        power = derivatives(np.repeat(c.T, points, axis=1), self.manifold.u(grid), self.manifold.lattice)[0]
         if self.method == "music":
             power = self.manifold.size - power
         if self.method != "bartlett":
@@ -150,7 +150,7 @@ class SpectralAxis(SlotState):
         noise = np.maximum(total - power, 1e-6 * total)
         u_std = stochastic_std(self.manifold.lattice, snapshots, power / noise)
         if self.method == "minnorm":
-            u_std *= np.sqrt(minnorm_excess(self.manifold.lattice))
+            u_std *= self._excess
         elif self.method == "mvdr":
             mirrored = 2 if self.options.forward_backward else 1
             u_std *= np.sqrt(mvdr_excess(n, mirrored * snapshots, power / noise, self.options.loading))

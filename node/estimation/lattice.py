@@ -96,6 +96,13 @@ class Lattice:
         return np.unique(np.abs(self.index[:, None] - self.index))
 
     @cached_property
+    def derivative_weights(self) -> Floats:
+        """(3, L) of c_k exp(j k u): real part 1 for the value, imaginary part -k, real part -k^2 for the
+        derivatives."""
+        k = self.lags.astype(np.float64)
+        return np.stack([np.ones_like(k), -k, -k * k])
+
+    @cached_property
     def pairs(self) -> Floats:
         """(L,) how many pairs of elements have each lag; an element counts as a pair with itself."""
         first, second = np.triu_indices(self.size)

@@ -171,7 +171,6 @@ class Search:
         if self._full_circle and self.grid[-1] - self.grid[0] > 2 * math.pi * (1 - 1e-9):
             self.grid = self.grid[:-1]
         self.converged = CONVERGED * 2 * math.pi / manifold.lattice.span
-        self._lags = manifold.lattice.lags
         self._before, self._after = (
             np.roll(np.arange(len(self.grid)), 1),
             np.roll(np.arange(len(self.grid)), -1),
@@ -189,7 +188,7 @@ class Search:
         """aᴴQa (K, G) on the grid, of lag polynomials (K, L): one real matrix product."""
         real = c.real.dtype
         if real not in self._tables:
-            self._tables[real] = polynomial_table(self.grid, self._lags).astype(real)
+            self._tables[real] = polynomial_table(self.grid, self.manifold.lattice.lags).astype(real)
         values: NDArray[Any] = c.view(real) @ self._tables[real]
         return values
 
@@ -216,18 +215,24 @@ class Search:
         if maximum:
             np.negative(exact, out=exact)
         with np.errstate(divide="ignore", invalid="ignore"):
-            u, value = _descend(exact, self._lags, u, low, high, self.newton_steps, self.converged)
+            u, value = _descend(exact, self.manifold.lattice, u, low, high, self.newton_steps, self.converged)
         if self._full_circle:
             u = self.manifold.low + np.mod(u - self.manifold.low, 2 * math.pi)
         return u, -value if maximum else value
 
 
 def _descend(
-    c: NDArray[np.complex128], lags: Whole, u: Floats, low: Floats, high: Floats, steps: int, converged: float
+    c: NDArray[np.complex128],
+    lattice: Lattice,
+    u: Floats,
+    low: Floats,
+    high: Floats,
+    steps: int,
+    converged: float,
 ) -> tuple[Floats, Floats]:
     """Newton steps from u (K,) to a minimum of c (L, K) within [low, high], and the value there."""
     for _ in range(steps):
-        value, slope, curvature = derivatives(c, u, lags)
+        value, slope, curvature = derivatives(c, u, lattice)
         target = u - slope / curvature
         sound = (curvature > 0) & (target >= low) & (target <= high)
         if not sound.all():
@@ -256,18 +261,12 @@ def _vertex(left: Floats, right: Floats, fall_left: Floats, fall_right: Floats) 
     return np.where(bend == 0, 0.0, 0.5 * (a * right - b * left) / np.where(bend == 0, 1.0, bend))
 
 
-def derivatives(c: NDArray[np.complex128], u: Floats, lags: Whole) -> tuple[Floats, Floats, Floats]:
+def derivatives(c: NDArray[np.complex128], u: Floats, lattice: Lattice) -> tuple[Floats, Floats, Floats]:
     """Value, slope and curvature (K,) at u (K,) of lag polynomials c (L, K), lags first."""
-    terms = phasors(u, lags)
+    terms = phasors(u, lattice.lags)
     terms *= c
-    sums: Floats = (derivative_weights(lags) @ terms.view(np.float64)).reshape(3, -1, 2)
+    sums: Floats = (lattice.derivative_weights @ terms.view(np.float64)).reshape(3, -1, 2)
     return sums[0, :, 0], sums[1, :, 1], sums[2, :, 0]
-
-
-def derivative_weights(lags: Whole) -> Floats:
-    """Of c_k exp(j k u): real part 1 for the value, imaginary part -k, real part -k^2 for the derivatives."""
-    k = lags.astype(np.float64)
-    return np.stack([np.ones_like(k), -k, -k * k])
 
 
 def phasors(u: Floats, numbers: Whole) -> NDArray[np.complex128]:
