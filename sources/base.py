@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Self
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import RequestError
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.settings import Settings
 from chachart.node.net.security import SecuritySettings
@@ -73,6 +74,17 @@ class Source(ABC):
             If the source cannot be read.
         """
         return None
+
+    @classmethod
+    def carried_facts(cls, settings: Any) -> CaptureFacts:
+        """What the source knows of its frames' phase and delay; by default those of an array with a clock.
+
+        Raises
+        ------
+        SetupError
+            If the source cannot be read.
+        """
+        return CaptureFacts()
 
     @classmethod
     def problems(cls, settings: Any) -> list[str]:

@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import RequestError, SetupError
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.files.recording import RecordingReader
 from chachart.sources.base import EndOfSource, Source, SourceSettings
@@ -72,6 +73,11 @@ class Recording(Source):
     def carried_array(cls, settings: RecordingSettings) -> ArrayGeometry | None:
         """The array in the file."""
         return RecordingReader(settings.path).array
+
+    @classmethod
+    def carried_facts(cls, settings: RecordingSettings) -> CaptureFacts:
+        """The facts in the file."""
+        return RecordingReader(settings.path).facts
 
     @classmethod
     def problems(cls, settings: RecordingSettings) -> list[str]:

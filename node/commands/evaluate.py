@@ -3,7 +3,9 @@
     chachart evaluate capture.mcap --theta music --rho music --chart chart.png --json quality.json
     chachart evaluate capture.mcap --set estimator.averaging=exponential estimator.memory_frames=16
 
-All frames of a UE count alike unless --set says otherwise.
+All frames of a UE count alike unless --set says otherwise. Methods that are not named are those that the
+capture allows. Errors are given as they are, in metres in the frame of the positions, and after the turn,
+mirror, scale and shift that fit best, which say what kind of error it is.
 """
 
 from __future__ import annotations
@@ -22,12 +24,21 @@ from chachart.node.commands.shared.charting import (
     add_options,
     estimate,
     estimator_for,
+    methods_for,
     settings_for,
 )
 from chachart.node.commands.shared.cli import check_figure, check_writable
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.errors import SetupError
 from chachart.node.data.extras import require
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.quality import assess
+from chachart.node.estimation.similarity import in_degrees
 from chachart.node.files.recording import RecordingReader
+
+_SHARES = ("tw", "ct", "k", "stress")
+_ERRORS = ("error_m", "error_mean_m", "error_p90_m")
+_ANGLES = ("theta_error_deg", "rho_error_m")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,32 +62,42 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.chart is not None:
         check_figure(arguments.chart)
         require("plot", "--chart:")
-    settings = settings_for(arguments, arguments.recording)
     reader = RecordingReader(arguments.recording)
+    settings = settings_for(arguments, reader)
     estimator = estimator_for(reader, settings, arguments.calibration)
     started = time.perf_counter()
     chart, frames = estimate(reader, estimator)
     seconds = time.perf_counter() - started
-    figures: dict[str, Any] = {
-        "tw": None,
-        "ct": None,
-        "k": None,
-        "stress": None,
-        "error_m": None,
+    figures: dict[str, Any] = dict.fromkeys((*_SHARES, *_ERRORS, *_ANGLES))
+    figures |= {
         "seconds": seconds,
         "frames": frames,
         "ues": len(chart),
         "rejected": estimator.rejected.as_dict() | reader.damaged.as_dict(),
+        "theta": estimator.method.theta,
+        "rho": estimator.method.rho,
+        "chosen_because": _chosen(arguments, reader),
+        "warnings": [],
     }
     known = np.zeros(0) if chart.position is None else np.flatnonzero(np.isfinite(chart.position).all(axis=1))
     remark = f"only {len(known)} UEs have a known position: nothing to compare with"
-    if len(known) >= FEWEST_UES:
-        try:
-            figures |= assess(
-                chart.take(known), reader.array, settings.quality.k, settings.quality.exact_ues
-            ) | {"ues": len(chart)}
-        except ValueError as error:
-            remark = str(error)
+    if len(known):
+        told = chart.take(known)
+        assert told.position is not None
+        if in_degrees(told.position):
+            raise SetupError(
+                f"{reader.path}: the known positions lie within a centimetre of one another: they look like "
+                "degrees (import them again with --position-unit deg)"
+            )
+        figures |= _one_coordinate_each(told, reader.array)
+        if "none" in (estimator.method.theta, estimator.method.rho):
+            remark = "one coordinate alone is no place: only its own error counts"
+        elif len(known) >= FEWEST_UES:
+            try:
+                figures |= assess(told, reader.array, settings.quality.k, settings.quality.exact_ues)
+                figures["ues"] = len(chart)
+            except ValueError as error:
+                remark = str(error)
     method = f"{estimator.method.theta}/{estimator.method.rho}"
     _print(arguments.recording, method, figures, remark)
     if arguments.json is not None:
@@ -90,8 +111,32 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _chosen(arguments: argparse.Namespace, reader: RecordingReader) -> str:
+    """Why the methods are not the usual ones, where nobody chose them."""
+    if arguments.theta is not None and arguments.rho is not None:
+        return ""
+    return methods_for(reader.array, reader.facts)[2]
+
+
+def _one_coordinate_each(chart: ChartUpdate, array: ArrayGeometry) -> dict[str, Any]:
+    """Median errors of directions and of distances, where there are any."""
+    assert chart.position is not None
+    theta, rho = array.theta_rho(chart.position)
+    found: dict[str, Any] = {}
+    for name, errors in (
+        ("theta_error_deg", np.degrees(chart.theta - theta)),
+        ("rho_error_m", chart.rho - rho),
+    ):
+        finite = np.abs(errors[np.isfinite(errors)])
+        method = chart.method.theta if name.startswith("theta") else chart.method.rho
+        found[name] = float(np.median(finite)) if len(finite) and method != "none" else None
+    return found
+
+
 def _print(recording: Path, method: str, figures: dict[str, Any], remark: str) -> None:
     print(f"{recording}: {figures['frames']} frames of {figures['ues']} UEs, {method}")
+    if figures["chosen_because"]:
+        print(f"methods   chosen by what the capture allows: {figures['chosen_because']}")
     for reason, count in figures["rejected"].items():
         print(f"rejected  {count} ({reason})")
     if figures["tw"] is None:
@@ -100,7 +145,26 @@ def _print(recording: Path, method: str, figures: dict[str, Any], remark: str) -
         print(f"TW        {figures['tw']:.4f}  (K = {figures['k']})")
         print(f"CT        {figures['ct']:.4f}")
         print(f"stress    {figures['stress']:.4f}")
-        errors = [figures[name] for name in ("error_m", "error_mean_m", "error_p90_m")]
-        print("error     {:.2f} m median, {:.2f} m mean, {:.2f} m for 90 %".format(*errors))
+        for name, prefix in (("error", ""), ("fitted", "fit_")):
+            errors = [figures[prefix + error] for error in _ERRORS]
+            told = "as it is" if not prefix else _fit(figures)
+            median, mean, p90 = errors
+            print(f"{name:<9} {median:.2f} m median, {mean:.2f} m mean, {p90:.2f} m for 90 % ({told})")
+    if figures["theta_error_deg"] is not None:
+        print(f"direction {figures['theta_error_deg']:.2f} degrees off, median")
+    if figures["rho_error_m"] is not None:
+        print(f"distance  {figures['rho_error_m']:.2f} m off, median")
+    for warning in figures["warnings"]:
+        print(f"warning   {warning}")
     rate = figures["frames"] / figures["seconds"]
     print(f"seconds   {figures['seconds']:.2f}  ({rate:.0f} frames/s)")
+
+
+def _fit(figures: dict[str, Any]) -> str:
+    """The best fit in words."""
+    mirrored = "mirrored, " if figures["fit_mirrored"] else ""
+    return (
+        f"after the best fit: {mirrored}turned by {figures['fit_turn_deg']:.1f} degrees, "
+        f"scaled by {figures['fit_scale']:.3f}, "
+        f"shifted by ({figures['fit_shift_x_m']:.2f}, {figures['fit_shift_y_m']:.2f}) m"
+    )

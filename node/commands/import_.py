@@ -156,7 +156,11 @@ def _place(parts: list[Part], arguments: argparse.Namespace) -> None:
                 f"--position {arguments.position[0]}: must be X,Y,Z; the file holds no positions"
             )
         return
-    for part, place in zip(parts, given, strict=True):
+    try:
+        known = places.in_metres(np.array(given), arguments.position_unit, arguments.origin)
+    except ValueError as error:
+        raise SetupError(f"--position: {error}") from None
+    for part, place in zip(parts, known, strict=True):
         part.position = places.repeated(place, len(part.ue))
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Final, Literal, TypedDict, Unpack, cast
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.data.methods import AmplitudeMethod, RhoMethod, SpectralMethod, ThetaMethod
 from chachart.node.data.settings import Settings
 
@@ -96,6 +97,13 @@ class Options(Settings):
     def keywords(self) -> Keywords:
         """What was set, as keywords: those that were left to their defaults are left so."""
         return cast(Keywords, self.model_dump(exclude_unset=True))
+
+    def obeying(self, facts: CaptureFacts) -> Options:
+        """These options with what a capture says of phase and delay, where nothing was set."""
+        known = {"phase": "random"} if facts.phase == "random" else {}
+        known |= {"delay": "relative"} if facts.delay == "relative" else {}
+        update = {name: value for name, value in known.items() if name not in self.model_fields_set}
+        return self.model_copy(update=update)
 
     @property
     def decay(self) -> float:

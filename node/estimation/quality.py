@@ -24,6 +24,7 @@ from scipy.spatial.distance import cdist
 
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.estimation.similarity import figures, in_degrees
 
 Points = NDArray[np.float64]
 
@@ -72,21 +73,22 @@ def assess(chart: ChartUpdate, array: ArrayGeometry, k: int | None, exact_ues: i
     Returns
     -------
     dict
-        `tw`, `ct`, `k`, `ues`, `tw_error`, `ct_error`, `anchors`, `stress`, and `error_m`, `error_mean_m`,
-        `error_p90_m`: median, mean and 90th percentile of the distance after the best similarity fit.
+        `tw`, `ct`, `k`, `ues`, `tw_error`, `ct_error`, `anchors`, `stress`, and the errors of
+        `similarity.figures`.
 
     Raises
     ------
     ValueError
-        If a position is unknown or there are too few for `k`.
+        If a position is unknown or in degrees, or there are too few for `k`.
     """
     if chart.position is None:
         raise ValueError("no reference position is known")
+    if in_degrees(chart.position):
+        raise ValueError("the known positions lie within a centimetre: they look like degrees, not metres")
     truth = np.stack(array.chart_of(chart.position), axis=1)
     estimate = np.stack([chart.x, chart.y], axis=1)
     sampled = len(chart) > exact_ues
     near = neighbourhoods(truth, estimate, k, rng=np.random.default_rng(len(chart)) if sampled else None)
-    error = position_errors(truth, estimate)
     return {
         "tw": near.tw,
         "ct": near.ct,
@@ -96,10 +98,7 @@ def assess(chart: ChartUpdate, array: ArrayGeometry, k: int | None, exact_ues: i
         "ct_error": near.ct_error,
         "anchors": near.anchors,
         "stress": kruskal_stress(truth, estimate, most=exact_ues),
-        "error_m": float(np.median(error)),
-        "error_mean_m": float(error.mean()),
-        "error_p90_m": float(np.percentile(error, 90)),
-    }
+    } | figures(truth, estimate)
 
 
 def neighbourhoods(
@@ -178,27 +177,6 @@ def kruskal_stress(truth: Points, chart: Points, *, most: int = 4096) -> float:
     if dd == 0 or ee == 0:
         return 0.0 if dd == ee else 1.0
     return float(np.sqrt(max(1 - de * de / (dd * ee), 0.0)))
-
-
-def position_errors(truth: Points, chart: Points) -> Points:
-    """Distances (N,) between truth and chart after the best similarity fit.
-
-    The rotation or reflection, scale and shift of the chart (N, D) that bring it closest in least squares
-    (Umeyama 1991).
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ or a coordinate is not finite.
-    """
-    _check(truth, chart)
-    centre, middle = truth.mean(axis=0), chart.mean(axis=0)
-    a, b = truth - centre, chart - middle
-    left, singular, right = np.linalg.svd(b.T @ a)
-    spread = float(np.vdot(b, b))
-    scale = singular.sum() / spread if spread else 0.0
-    errors: Points = np.linalg.norm(a - scale * b @ left @ right, axis=1)
-    return errors
 
 
 def _check(truth: Points, chart: Points) -> None:

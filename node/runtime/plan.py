@@ -58,7 +58,7 @@ class Plan:
             resolve_array(settings.array, source, settings.source),
             source,
             settings.source,
-            settings.estimator,
+            settings.estimator.obeying(source.carried_facts(settings.source)),
             settings.workers,
             settings.quality,
             settings.state,

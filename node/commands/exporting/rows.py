@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from chachart.node.commands.exporting.geodesy import beside
+from chachart.node.commands.shared.geodesy import beside
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.columns import COLUMNS, rounded
 from chachart.node.data.errors import SetupError

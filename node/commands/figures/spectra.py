@@ -34,7 +34,7 @@ def figure(arguments: argparse.Namespace) -> Figure:
     if len(arguments.files) > 1:
         raise SetupError(f"one recording at a time, not {len(arguments.files)} files")
     reader = RecordingReader(path)
-    estimator = estimator_for(reader, settings_for(arguments, path), arguments.calibration)
+    estimator = estimator_for(reader, settings_for(arguments, reader), arguments.calibration)
     chart, _ = estimate(reader, estimator)
     spectrum = estimator.spectrum(arguments.ue)
     if spectrum is None:

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from chachart.node.commands.importing.places import in_metres
 from chachart.node.commands.importing.table import Band, Part
 from chachart.node.data.errors import SetupError
 from chachart.sources.formats.arrange import column, frames, identities, positions, taken, times_ns
@@ -55,14 +56,12 @@ def part_of(capture: Capture, arguments: argparse.Namespace) -> tuple[Part, Band
         )
         time_ns = time_ns[picked]
     if arguments.position and isinstance(arguments.position[0], str):
-        known = _converted(
-            capture,
-            "--position",
-            arguments.position[0],
-            lambda v: positions(
-                v, count if each == 1 or len(v) == count else count // each, arguments.plane_m
-            ),
-        )
+
+        def placed(values: NDArray[Any]) -> NDArray[np.float32]:
+            metres = in_metres(values, arguments.position_unit, arguments.origin)
+            return positions(metres, count if len(values) == count else count // each, arguments.plane_m)
+
+        known = _converted(capture, "--position", arguments.position[0], placed)
         position = known if len(known) == count else np.repeat(known, each, axis=0)
         position = position[picked]
     part = Part(

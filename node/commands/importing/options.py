@@ -63,6 +63,15 @@ def _add_data(data: argparse._ArgumentGroup) -> None:
         help="known positions in metres: a variable (ues, 3), NaN unknown; or a place, once for each file",
     )
     data.add_argument(
+        "--position-unit",
+        choices=("m", "deg"),
+        default="m",
+        help="deg: latitude, longitude and perhaps height of --position and --position-from (%(default)s)",
+    )
+    data.add_argument(
+        "--origin", type=_origin, metavar="LAT,LON", help="where x = y = 0 is, x to the east, y to the north"
+    )
+    data.add_argument(
         "--position-from", type=Path, metavar="TABLE.csv", help="the place of each file: file,x,y[,z]"
     )
     data.add_argument(
@@ -128,6 +137,16 @@ def _vector(text: str) -> tuple[float, float, float]:
 
 def _position(text: str) -> str | tuple[float, float, float]:
     return _vector(text) if re.fullmatch(r"[-+0-9.eE]+(,[-+0-9.eE]+)+", text) else text
+
+
+def _origin(text: str) -> tuple[float, float]:
+    try:
+        latitude, longitude = (float(part) for part in text.split(","))
+        if abs(latitude) > 90 or abs(longitude) > 180:
+            raise ValueError
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text} must be latitude and longitude in degrees") from None
+    return latitude, longitude
 
 
 def _direction(text: str) -> str | tuple[float, ...]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from chachart.node.commands.shared.geodesy import seen_from
 from chachart.node.data.errors import SetupError
 
 Place = tuple[float, float, float]
@@ -51,6 +53,27 @@ def of_table(table: Path, files: list[Path], z_m: float) -> list[Place]:
     return places
 
 
-def repeated(place: Place, count: int) -> NDArray[np.float32]:
+def repeated(place: NDArray[Any], count: int) -> NDArray[np.float32]:
     """float32 (count, 3)."""
-    return np.tile(np.asarray(place, np.float32), (count, 1))
+    return np.tile(place.astype(np.float32), (count, 1))
+
+
+def in_metres(values: NDArray[Any], unit: str, origin: tuple[float, float] | None) -> NDArray[Any]:
+    """Positions (N, 2 or 3) in metres: of `deg`, those of latitude and longitude east and north of `origin`.
+
+    Raises
+    ------
+    ValueError
+        If the origin is not given, or a position is no place on earth.
+    """
+    if unit == "m":
+        return values
+    if origin is None:
+        raise ValueError("--position-unit deg needs --origin LAT,LON: where x = y = 0 is")
+    if values.ndim != 2 or values.shape[1] not in (2, 3):
+        raise ValueError(f"must be latitude, longitude and perhaps height a row, not shape {values.shape}")
+    whole = values.astype(np.float64)
+    if (np.abs(whole[:, 0]) > 90).any() or (np.abs(whole[:, 1]) > 180).any():
+        raise ValueError("latitudes are within 90 degrees, longitudes within 180")
+    whole[:, 0], whole[:, 1] = seen_from(*origin, whole[:, 0], whole[:, 1])
+    return whole

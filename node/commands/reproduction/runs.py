@@ -15,7 +15,7 @@ from chachart.node.commands.reproduction.scenario import KNOWN_UES, Scene
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.estimation.curves import Ranks, neighbour_ranks, neighbourhood_curves
 from chachart.node.estimation.estimator import ChartEstimator
-from chachart.node.estimation.quality import position_errors
+from chachart.node.estimation.similarity import best_fit
 
 Floats = NDArray[np.float64]
 
@@ -119,7 +119,7 @@ def estimate(
 def judge(name: str, xy: Floats, truth: Floats, truth_ranks: Ranks, most: int) -> Charted:
     """Hold chart coordinates (U, 2) against the truth, for up to `most` neighbours."""
     tw, ct = neighbourhood_curves(truth_ranks, neighbour_ranks(xy), most)
-    return Charted(name, xy, tw, ct, float(np.median(position_errors(truth, xy))))
+    return Charted(name, xy, tw, ct, float(np.median(best_fit(truth, xy).errors_m)))
 
 
 def judge_pair(scene: Scene, pair: Pair, chart: ChartUpdate, truth_ranks: Ranks, most: int) -> Charted:

@@ -17,6 +17,7 @@ from chachart.node.commands.shared.cli import progress
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.methods import RhoMethod, ThetaMethod
 from chachart.node.estimation.estimator import ChartEstimator
@@ -46,8 +47,34 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="instead of the recording's own")
 
 
-def settings_for(arguments: argparse.Namespace, recording: Path) -> NodeSettings:
+def methods_for(array: ArrayGeometry, facts: CaptureFacts) -> tuple[ThetaMethod, RhoMethod, str]:
+    """The methods that make sense for a capture where nobody chose any, and why in words (empty: the usual).
+
+    Raises
+    ------
+    SetupError
+        If nothing of it can be charted.
+    """
+    antennas, tones = np.count_nonzero(array.live_antennas), np.count_nonzero(array.live_tones)
+    theta, rho = Options().theta, Options().rho
+    why = []
+    if antennas < 2:
+        theta = "none"
+        why.append("one antenna sees no direction")
+    if facts.delay == "relative" or tones < 2:
+        why.append("its delays are no distances" if tones > 1 else "one subcarrier sees no delay")
+        rho = "isq" if facts.power != "raw" or facts.delay == "absolute" else "none"
+        if rho == "none":
+            why.append("its amplitudes are not those received")
+    if theta == rho == "none":
+        raise SetupError(f"nothing can be charted: {', '.join(why)}")
+    return theta, rho, ", ".join(why)
+
+
+def settings_for(arguments: argparse.Namespace, reader: RecordingReader) -> NodeSettings:
     """The settings that the options of `add_options` make; all frames of a UE count alike.
+
+    Methods that are not chosen are those that the recording allows.
 
     Raises
     ------
@@ -60,10 +87,16 @@ def settings_for(arguments: argparse.Namespace, recording: Path) -> NodeSettings
             raise SetupError(
                 f"--set {change}: only [estimator] and [quality] count, the array is the recording's"
             )
-    theta = arguments.theta or ("joint" if arguments.rho == "joint" else Options().theta)
+    theta, rho = arguments.theta, arguments.rho
+    if theta is None or rho is None:
+        usual_theta, usual_rho, why = methods_for(reader.array, reader.facts)
+        if not why:
+            theta = theta or ("joint" if rho == "joint" else usual_theta)
+            rho = rho or theta
+        theta, rho = theta or usual_theta, rho or usual_rho
     document = {
-        "source": {"type": "recording", "path": str(recording)},
-        "estimator": {"theta": theta, "rho": arguments.rho or theta, "averaging": "mean"},
+        "source": {"type": "recording", "path": str(reader.path)},
+        "estimator": {"theta": theta, "rho": rho, "averaging": "mean"},
     }
     return settings_of(document, arguments.set, "options")
 
@@ -85,7 +118,7 @@ def estimator_for(
         except ValueError as error:
             raise SetupError(f"--calibration: {error}") from None
     try:
-        return ChartEstimator(array, **settings.estimator.keywords())
+        return ChartEstimator(array, **settings.estimator.obeying(reader.facts).keywords())
     except ValueError as error:
         raise SetupError(f"[estimator] {error}") from None
 
@@ -134,7 +167,10 @@ def chart_recording(path: str | Path, **options: Any) -> ChartUpdate:
         If an option does not fit the recording's array.
     """
     reader = RecordingReader(Path(path))
-    chart, _ = estimate(reader, ChartEstimator(reader.array, **{"averaging": "mean", **options}))
+    theta, rho, why = methods_for(reader.array, reader.facts)
+    usual: dict[str, Any] = {"averaging": "mean", **({"theta": theta, "rho": rho} if why else {})}
+    keywords = Options.of(**{**usual, **options}).obeying(reader.facts).keywords()
+    chart, _ = estimate(reader, ChartEstimator(reader.array, **keywords))
     return chart
 
 
@@ -180,7 +216,7 @@ def charted(arguments: argparse.Namespace) -> Charted:
     if len(paths) > 1:
         raise SetupError(f"one recording at a time, not {len(paths)} files")
     reader = RecordingReader(paths[0])
-    settings = settings_for(arguments, paths[0])
+    settings = settings_for(arguments, reader)
     chart, _ = estimate(reader, estimator_for(reader, settings, arguments.calibration))
     return Charted(chart, reader.array, _name(paths[0], chart))
 

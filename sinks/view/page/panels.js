@@ -77,9 +77,11 @@ export function showQuality(report) {
   facts(element('qualityfacts'), !report ? [] : [
     ['Trustworthiness', shares(report.tw), { unit: `K = ${report.k}`, kind: 'big' }],
     ['Continuity', shares(report.ct), { unit: `${number(report.ues)} UEs`, kind: 'big' }],
-    ['Error, median', number(report.error_m), { unit: 'm' }],
+    ['Error as it is, median', number(report.error_m), { unit: 'm' }],
     ['90 %', number(report.error_p90_m), { unit: 'm' }],
     ['Mean', number(report.error_mean_m), { unit: 'm' }],
+    ['After the best fit', number(report.fit_error_m), { unit: 'm' }],
+    ...(report.warnings ?? []).map((words) => ['Beware', words]),
     ['Stress', number(report.stress)],
   ]);
 }

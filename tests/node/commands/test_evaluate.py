@@ -11,6 +11,7 @@ from chachart.config.settings import ArraySettings
 from chachart.node.commands.main import main
 from chachart.node.data.calibration import Calibration
 from chachart.node.data.csi import CsiBlock
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.files.calibration import save_calibration
 from chachart.node.files.recording import RecordingReader, RecordingWriter
 from chachart.sources.base import EndOfSource
@@ -158,3 +159,77 @@ def test_a_setting_that_would_not_count_is_refused(
 ) -> None:
     assert main(["evaluate", str(recording), "--set", "array.antennas=4"]) == 78
     assert "--set array.antennas=4: only [estimator] and [quality] count" in capsys.readouterr().err
+
+
+def wifi(path: Path, facts: CaptureFacts, antennas: int = 3, places: np.ndarray | None = None) -> Path:
+    """A recording of eight UEs round an array of a Wi-Fi card."""
+    at = (0.0, 0.0, 0.0)
+    array = ArraySettings(
+        antennas=antennas, subcarriers=16, subcarrier_spacing_hz=312500.0, position_m=at
+    ).geometry()
+    rng = np.random.default_rng(4)
+    position = np.column_stack([rng.uniform(5, 50, 8), rng.uniform(-30, 30, 8), np.zeros(8)])
+    offset = position[:, None] - array.element_positions()
+    d = np.linalg.norm(offset, axis=2)[:, :, None]
+    csi = np.exp(-2j * np.pi * array.frequencies_hz * d / array.light_speed_m_s) / d
+    csi = np.tile(csi, (5, 1, 1)) * np.exp(2j * np.pi * rng.uniform(size=(40, 1, 1)))
+    ue = np.tile(np.arange(8, dtype=np.uint64), 5)
+    where = np.tile(position if places is None else places, (5, 1)).astype(np.float32)
+    with RecordingWriter(path, array, facts=facts) as writer:
+        writer.write(CsiBlock("lab", 0, ue, np.arange(40), csi.astype(np.complex64), where))
+    return path
+
+
+def test_methods_are_those_that_the_capture_allows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    facts = CaptureFacts("random", "relative", "rssi")
+    path = wifi(tmp_path / "wifi.mcap", facts)
+    report = tmp_path / "report.json"
+    assert main(["evaluate", str(path), "--json", str(report)]) == 0
+    said = capsys.readouterr().out
+    assert "bartlett/isq" in said
+    assert "its delays are no distances" in said
+    figures = json.loads(report.read_text())
+    assert figures["theta_error_deg"] < 1
+    assert (figures["theta"], figures["rho"]) == ("bartlett", "isq")
+    assert main(["evaluate", str(path), "--rho", "music"]) == 78
+    assert 'must be "none", "isq" or "lr"' in capsys.readouterr().err
+    assert main(["evaluate", str(wifi(tmp_path / "raw.mcap", CaptureFacts("random", "relative")))]) == 0
+    said = capsys.readouterr().out
+    assert "bartlett/none" in said
+    assert "degrees off" in said
+    assert "TW" not in said
+
+
+def test_one_antenna_without_anything_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = wifi(tmp_path / "one.mcap", CaptureFacts("random", "relative"), antennas=1)
+    assert main(["evaluate", str(path)]) == 78
+    assert "nothing can be charted: one antenna sees no direction" in capsys.readouterr().err
+    path = wifi(tmp_path / "power.mcap", CaptureFacts("random", "relative", "rssi"), antennas=1)
+    assert main(["evaluate", str(path)]) == 0
+    assert "none/isq" in capsys.readouterr().out
+
+
+def test_positions_in_degrees_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    places = np.array([48.78, 9.18, 0.0]) + np.random.default_rng(2).uniform(0, 1e-3, (8, 3))
+    path = wifi(tmp_path / "degrees.mcap", CaptureFacts(), places=places)
+    assert main(["evaluate", str(path)]) == 78
+    assert "look like degrees" in capsys.readouterr().err
+
+
+def test_an_array_that_was_said_to_be_elsewhere(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reader = RecordingReader(recording)
+    moved = replace(reader.array, position_m=(900.0, 0.0, 10.0))
+    path = tmp_path / "moved.mcap"
+    with RecordingWriter(path, moved) as writer:
+        for block in reader.blocks():
+            writer.write(block)
+    report = tmp_path / "report.json"
+    assert main(["evaluate", str(path), "--json", str(report)]) == 0
+    figures = json.loads(report.read_text())
+    assert figures["error_m"] > 800
+    assert figures["fit_error_m"] < 10
+    assert "(as it is)" in capsys.readouterr().out

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chachart.node.commands.exporting.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M, beside
+from chachart.node.commands.shared.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M, beside, seen_from
 
 FAR = st.floats(-10_000, 10_000)
 
@@ -44,3 +44,12 @@ def test_a_degree_is_as_long_as_tables_say() -> None:
 def test_no_such_place(place: tuple[float, float]) -> None:
     with pytest.raises(ValueError, match="there is no place"):
         beside(*place, np.zeros(1), np.zeros(1))
+
+
+@given(latitude=st.floats(-89, 89), longitude=st.floats(-180, 180), east=FAR, north=FAR)
+def test_the_way_back(latitude: float, longitude: float, east: float, north: float) -> None:
+    there = beside(latitude, longitude, np.array([east]), np.array([north]))
+    found = seen_from(latitude, longitude, *there)
+    # The point on the ground is below the one on the plane, by up to d^2 / 2R: that is not seen from above.
+    assert float(found[0][0]) == pytest.approx(east, abs=0.05)
+    assert float(found[1][0]) == pytest.approx(north, abs=0.05)

@@ -338,3 +338,17 @@ def test_a_dead_antenna_and_guards_do_not_count(tmp_path: Path, capsys: pytest.C
     assert (array.subcarriers, array.dead_antennas, array.dead_tones) == (56, (1,), (55,))
     assert main([*arguments, "--tones", "all", "--force"]) == 0
     assert RecordingReader(tmp_path / "out.mcap").array.tones == tuple(range(-32, 32))
+
+
+def test_positions_in_degrees(run: Run, tmp_path: Path) -> None:
+    degrees = np.column_stack([48.78 + 1e-4 * np.arange(100), np.full(100, 9.18), np.full(100, 1.5)])
+    status, said = run("--position", "p", "--position-unit", "deg", H=CSI, p=degrees)
+    assert (status, "--origin" in said) == (78, True)
+    assert (
+        run("--position", "p", "--position-unit", "deg", "--origin", "48.78,9.18", H=CSI, p=degrees)[0] == 0
+    )
+    position = read(tmp_path).position
+    assert position is not None
+    np.testing.assert_allclose(position[:, 0], 0, atol=1e-3)
+    np.testing.assert_allclose(np.diff(position[:, 1]), 11.12, atol=0.01)
+    assert (position[:, 2] == 1.5).all()

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sklearn.manifold import trustworthiness
 
-from chachart.node.estimation.quality import kruskal_stress, neighbourhoods, position_errors
+from chachart.node.estimation.quality import kruskal_stress, neighbourhoods
 
 
 def cloud(n: int, noise: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -74,7 +74,7 @@ def test_k_must_be_below_half(n: int, k: int) -> None:
 def test_unknown_coordinates_are_refused() -> None:
     truth, chart = cloud(10, 1.0)
     chart[3, 1] = np.nan
-    for measure in (neighbourhoods, kruskal_stress, position_errors):
+    for measure in (neighbourhoods, kruskal_stress):
         with pytest.raises(ValueError, match="finite"):
             measure(truth, chart)
         with pytest.raises(ValueError, match="as many"):
@@ -88,15 +88,6 @@ def test_stress() -> None:
     stress = kruskal_stress(*cloud(300, 30.0))
     assert 0.05 < stress < 0.3
     assert kruskal_stress(*cloud(300, 30.0), most=200) == pytest.approx(stress, rel=0.2)
-
-
-def test_position_errors_after_rotation_reflection_scale_and_shift() -> None:
-    truth, _ = cloud(50, 0.0)
-    turn = np.array([[np.cos(2), -np.sin(2)], [np.sin(2), np.cos(2)]])
-    assert position_errors(truth, truth @ turn * 0.1 + 9).max() < 1e-9
-    assert position_errors(truth, truth[:, ::-1] * 4).max() < 1e-9
-    spread = position_errors(truth, np.zeros_like(truth))
-    assert spread == pytest.approx(np.linalg.norm(truth - truth.mean(axis=0), axis=1))
 
 
 @pytest.mark.parametrize(("ues", "k"), [(4, 1), (8, 3), (12, 5), (60, 5), (200, 10)])

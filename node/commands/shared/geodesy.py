@@ -1,4 +1,4 @@
-"""Places on the earth from metres east and north of one. Pure arithmetic, WGS 84."""
+"""Places on the earth from metres east and north of one, and back. Pure arithmetic, WGS 84."""
 
 from __future__ import annotations
 
@@ -45,3 +45,24 @@ def beside(
     )
     turned = longitude + np.arctan2(east, outwards)
     return np.degrees(found), np.degrees((turned + np.pi) % (2 * np.pi) - np.pi)
+
+
+def seen_from(
+    latitude_deg: float, longitude_deg: float, latitudes_deg: NDArray[Any], longitudes_deg: NDArray[Any]
+) -> tuple[Floats, Floats]:
+    """Metres (K,) to the east and north of one place, on the plane that touches the ellipsoid there."""
+    here = _earth_centred(np.array([latitude_deg]), np.array([longitude_deg]))
+    offset = _earth_centred(np.asarray(latitudes_deg), np.asarray(longitudes_deg)) - here
+    phi, lam = np.radians([latitude_deg, longitude_deg])
+    east = offset @ np.array([-np.sin(lam), np.cos(lam), 0.0])
+    north = offset @ np.array([-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)])
+    return east, north
+
+
+def _earth_centred(latitudes_deg: NDArray[Any], longitudes_deg: NDArray[Any]) -> Floats:
+    """Places (K, 3) on the ellipsoid in metres from the middle of the earth."""
+    phi, lam = np.radians(latitudes_deg), np.radians(longitudes_deg)
+    curvature = SEMI_MAJOR_M / np.sqrt(1 - ECCENTRICITY_SQUARED * np.sin(phi) ** 2)
+    outwards = curvature * np.cos(phi)
+    along = curvature * (1 - ECCENTRICITY_SQUARED) * np.sin(phi)
+    return np.column_stack([outwards * np.cos(lam), outwards * np.sin(lam), along])
