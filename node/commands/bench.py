@@ -20,6 +20,8 @@ BENCHMARKS = {
     "frontends": "packet decoders, and whole serial and CAN links, with damage and without",
     "flow": "recordings, the wire and the sinks by themselves",
     "scale": "more UEs, antennas and subcarriers: time a frame and memory",
+    "soak": "hours of running: how memory, open files and threads grow",
+    "kills": "kill -9 of any process at any moment: what the chart is afterwards",
     "view": "what the live view costs a node, without and with a viewer",
 }
 """Each benchmark and what it measures; its module in `benchmarks` has `add_arguments` and `run`."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import os
 import time
+from pathlib import Path
 from typing import Any
 
 import zmq
@@ -21,7 +22,7 @@ from chachart.node.runtime.deadlines import Deadlines
 from chachart.node.runtime.feeder_requests import FeederRequests, Terms
 from chachart.node.runtime.partition import Partitioner
 from chachart.node.runtime.progress import Applied, Mark, highest
-from chachart.node.runtime.reader import Reader
+from chachart.node.runtime.reader import Reader, Tally
 from chachart.node.runtime.shard_queue import ShardQueue
 from chachart.node.runtime.shard_queues import ShardQueues
 from chachart.node.runtime.snapshot_schedule import SnapshotKeeper
@@ -65,7 +66,7 @@ class Dispatcher:
             self._wake,
         )
         partitioner = Partitioner(count, workers["block_frames"], workers["linger_ms"] / 1e3)
-        self._reader = Reader(source, partitioner, self._queues)
+        self._reader = Reader(source, partitioner, self._queues, Tally(Path(settings["tally"])))
         self._csi_sinks = CsiSinks(self._reader, source.array, source.lossless)
         self._deadlines = Deadlines()
         self._hellos: list[dict[str, Any]] = [{} for _ in range(count)]

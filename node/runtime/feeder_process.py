@@ -5,18 +5,30 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from chachart.node.data.counters import Counters
 from chachart.node.runtime.child import Child
 from chachart.node.runtime.deadlines import LEAST_S, STALLED_S
 from chachart.node.runtime.feeder import START_OVER
+from chachart.node.runtime.reader import read_tally
 from chachart.node.runtime.supervisor import SupervisedChild
 
 log = logging.getLogger(__name__)
 
 MOST_DEATHS = 3
 READER_WITHIN_S = 30.0
+_COUNTS = (
+    "blocks_in",
+    "frames_in",
+    "frames_estimated",
+    "dropped",
+    "dropped_here",
+    "rejected",
+    "gaps",
+    "out_of_order",
+)
 _PER_LIFE = ("state_lost", "ues_reset", "frames_replayed")
 """Counts of workers that a feeder begins anew."""
 
@@ -28,6 +40,8 @@ class FeederProcess:
     ----------
     start
         Starts the process, given the last status of the one before (None if there was none).
+    tally
+        Where the process counts the frames that come in, so that none is forgotten when it is killed.
     died
         Called when it has died, before its successor starts.
 
@@ -41,7 +55,9 @@ class FeederProcess:
         Whether source and sinks are open, and whether frames are read.
     """
 
-    def __init__(self, start: Callable[[dict[str, Any] | None], Child], died: Callable[[], None]) -> None:
+    def __init__(
+        self, start: Callable[[dict[str, Any] | None], Child], tally: Path, died: Callable[[], None]
+    ) -> None:
         self.status: dict[str, Any] = {}
         self.ready = self.started = False
         self.supervised = SupervisedChild(
@@ -49,6 +65,7 @@ class FeederProcess:
         )
         self._start_process = start
         self._died = died
+        self._tally = tally
         self._earlier: Counters = Counters()
         self._heard_at = 0.0
         self._looked_at = 0.0
@@ -63,6 +80,8 @@ class FeederProcess:
         """It has said something, possibly how it is."""
         self._heard_at = time.monotonic()
         if status is not None:
+            if self.status and not self.started:  # it does not know yet where its predecessor was
+                status = {**status, **{count: self.status[count] for count in _COUNTS}}
             self.status = {**status, "earlier": self._earlier.as_dict()}
 
     def check(self) -> str | None:
@@ -98,6 +117,8 @@ class FeederProcess:
 
     def _bury(self, pid: int) -> None:
         self._died()
+        if self.started:
+            self.status["frames_in"] = max(self.status["frames_in"], read_tally(self._tally))
         self._retire()
         self.ready = self.started = False
 

@@ -31,6 +31,7 @@ class Launcher:
             "directory": str(links.directory),
             "array": plan.array.as_dict(),
         }
+        self.tally = links.directory / "frames-in"
         durable = plan.state.directory is not None
         self._state = {"folder": None if folder is None else str(folder), "durable": durable}
 
@@ -57,6 +58,7 @@ class Launcher:
             "estimator": method,
             "state": plan.state.model_dump(mode="json"),
             "counted": counted,
+            "tally": str(self.tally),
             "csi_sinks": [
                 {"class": class_path(sink), "settings": settings.model_dump(mode="json")}
                 for sink, settings in plan.sinks

@@ -73,7 +73,7 @@ class Node:
             SupervisedChild(f"worker {s}", partial(self._launch.worker, s), partial(self._worker_died, s))
             for s in range(plan.workers.count)
         )
-        self._feeder = FeederProcess(self._start_feeder, self._feeder_died)
+        self._feeder = FeederProcess(self._start_feeder, self._launch.tally, self._feeder_died)
         self._reporter = Reporter(plan, self._collector, self._feeder, self._workers, self._quality)
         self._method: dict[str, str] = {"theta": plan.estimator.theta, "rho": plan.estimator.rho}
         self._state = "starting"

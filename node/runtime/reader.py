@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import logging
+import mmap
+import struct
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,12 +21,34 @@ from chachart.node.runtime.shard_queues import ShardQueues
 from chachart.node.runtime.sink_thread import SinkThread
 from chachart.sources.base import EndOfSource, Source
 
+_COUNT = struct.Struct("<q")
+
 log = logging.getLogger(__name__)
 
 RECV_TIMEOUT_S = 0.1
 MARK_EVERY_S = 0.1
 TIMER_S = 0.001
 """Sockets wait in whole milliseconds: better a block leaves up to one early than one late."""
+
+
+class Tally:
+    """A count that outlives the process that keeps it: a mapped file."""
+
+    def __init__(self, path: Path) -> None:
+        path.write_bytes(bytes(_COUNT.size))
+        with path.open("r+b") as file:
+            self._memory = mmap.mmap(file.fileno(), _COUNT.size)
+
+    def set(self, count: int) -> None:
+        _COUNT.pack_into(self._memory, 0, count)
+
+
+def read_tally(path: Path) -> int:
+    """What the process that kept it counted last; 0 if it never did."""
+    try:
+        return int(_COUNT.unpack(path.read_bytes())[0])
+    except (OSError, struct.error):
+        return 0
 
 
 class Reader:
@@ -49,7 +74,9 @@ class Reader:
         Looks at the antennas now and then.
     """
 
-    def __init__(self, source: Source, partitioner: Partitioner, queues: ShardQueues) -> None:
+    def __init__(
+        self, source: Source, partitioner: Partitioner, queues: ShardQueues, tally: Tally | None = None
+    ) -> None:
         self.frames_in = 0
         self.blocks_in = 0
         self.rejected = Counters()
@@ -63,6 +90,7 @@ class Reader:
         self._source = source
         self._partitioner = partitioner
         self._queues = queues
+        self._tally = tally
         self._number = 0
         self._applied: Applied = []
         self._applied_below = 0
@@ -151,6 +179,8 @@ class Reader:
             block, numbers = block.take(new), numbers[new]
         self.frames_in += len(block)
         self.blocks_in += 1
+        if self._tally is not None:
+            self._tally.set(self.frames_in)
         for sink in self.sinks:
             sink.put(block)
         self._pass_on(self._partitioner.add(block, now, numbers))

@@ -107,11 +107,13 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     return [table, stages]
 
 
-def noisy_blocks(array: ArrayGeometry, ues: int, block_frames: int, snr_db: float = 0.0) -> list[CsiBlock]:
+def noisy_blocks(
+    array: ArrayGeometry, ues: int, block_frames: int, snr_db: float = 0.0, seed: int = 0
+) -> list[CsiBlock]:
     """One frame of each UE of the vip scenario in line of sight, with noise, in blocks."""
     position = place("vip", ues, array)
     csi = channels("los", position, array)
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     noise = rng.standard_normal((*csi.shape, 2), np.float32).view(np.complex64)[..., 0]
     csi += noise * np.float32(np.sqrt(0.5 * 10 ** (-snr_db / 10)))
     return [

@@ -27,6 +27,15 @@ class Outcome:
     peak_bytes: int
 
 
+@dataclass(frozen=True, slots=True)
+class Footprint:
+    """What a process holds: memory (its own, resident), open files, threads."""
+
+    bytes: int
+    files: int
+    threads: int
+
+
 class RunningNode:
     """Starts `chachart-node` with a configuration; a context manager that leaves no process behind.
 
@@ -36,9 +45,11 @@ class RunningNode:
         For the configuration, the log and the summary.
     config
         TOML.
+    options
+        Further options of `chachart-node`.
     """
 
-    def __init__(self, directory: Path, config: str) -> None:
+    def __init__(self, directory: Path, config: str, *options: str) -> None:
         self._summary, self._log = directory / "summary.json", directory / "node.log"
         self._summary.unlink(missing_ok=True)
         (directory / "node.toml").write_text(config)
@@ -48,7 +59,7 @@ class RunningNode:
         with self._log.open("w") as log:
             command = [sys.executable, "-m", "chachart.node.commands.node"]
             command += ["--config", str(directory / "node.toml"), "--summary", str(self._summary)]
-            self._process = subprocess.Popen(command, stdout=log, stderr=log)
+            self._process = subprocess.Popen([*command, *options], stdout=log, stderr=log)
         self._watch = threading.Thread(target=self._look, daemon=True)
         self._watch.start()
 
@@ -62,6 +73,32 @@ class RunningNode:
         if self._process.poll() is None:
             self._process.kill()
             self._process.wait()
+
+    @property
+    def pid(self) -> int:
+        """The main process."""
+        return self._process.pid
+
+    def rest(self, seconds: float) -> None:
+        """Let it run for so long.
+
+        Raises
+        ------
+        SetupError
+            If it has ended meanwhile, with the last line of its log.
+        """
+        try:
+            self._process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            return
+        self.outcome(END_WITHIN_S)
+        raise SetupError("the node has ended before its time")
+
+    def kill(self) -> None:
+        """End the main process at once, with SIGKILL."""
+        self._process.kill()
+        self._process.wait()
+        self._done.set()
 
     def stop(self) -> Outcome:
         """Ask the node to drain and end."""
@@ -106,6 +143,42 @@ def _family(pid: int) -> list[int]:
     except OSError:
         return [pid]
     return [pid, *(member for child in found for member in _family(child))]
+
+
+def children(pid: int) -> dict[str, int]:
+    """The node's child processes by what they do: `feeder`, `worker 0`, `worker 1`, ..., `quality`."""
+    found: dict[str, int] = {}
+    workers = 0
+    for child in sorted(_family(pid)[1:]):
+        try:
+            command = Path(f"/proc/{child}/cmdline").read_bytes().decode().split("\0")
+            parent = int(Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[1])
+        except OSError:
+            continue
+        if parent != pid:  # a worker's writer of snapshots
+            continue
+        module = next((part.rpartition(".")[2] for part in command if ".runtime." in part), "")
+        if module == "worker":
+            found[f"worker {workers}"] = child
+            workers += 1
+        elif module:
+            found[module.removesuffix("_watch")] = child
+    return found
+
+
+def footprints(pid: int) -> dict[str, Footprint]:
+    """What the node's processes hold, by what they do; the main process is `main`."""
+    found = {}
+    for name, process in {"main": pid, **children(pid)}.items():
+        try:
+            rollup = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
+            private = sum(int(line.split()[1]) for line in rollup if line.startswith("Private_"))
+            files = len(list(Path(f"/proc/{process}/fd").iterdir()))
+            threads = len(list(Path(f"/proc/{process}/task").iterdir()))
+        except OSError:
+            continue
+        found[name] = Footprint(private * 1024, files, threads)
+    return found
 
 
 def peak_bytes(pid: int) -> int:
