@@ -23,7 +23,7 @@ from chachart.sinks.base import SinkSettings
 from chachart.sinks.file_sink import FileSink, FileSinkSettings
 from chachart.sinks.files import free_name
 from chachart.sinks.gathering import Gathering
-from chachart.sinks.plain import plain
+from chachart.sinks.plain import encoded, plain
 from chachart.sinks.point_cloud import SCHEMA, point_cloud
 from chachart.sinks.schemas import schemas
 
@@ -99,7 +99,7 @@ class ChartLogFile:
         OSError
             If the disk takes no more.
         """
-        data = json.dumps(values).encode() if self._encoding[kind] == "json" else msgpack.packb(values)
+        data = encoded(values) if self._encoding[kind] == "json" else msgpack.packb(plain(values))
         now = time.time_ns()
         self._added += rows
         self._messages += 1
@@ -195,7 +195,7 @@ class ChartLog(FileSink[ChartLogFile]):
         self._gathering.done()
 
     def _report(self, kind: str, report: dict[str, Any]) -> None:
-        values = {"array": self.array.name, **plain(report)}
+        values = {"array": self.array.name, **report}
         self._write(0, lambda file: file.add(kind, values))
 
     def _begin(self) -> tuple[Path, ChartLogFile]:

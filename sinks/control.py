@@ -23,6 +23,7 @@ from chachart.node.net.limits import GUESSES_AT_ONCE, GUESSES_PER_S, RateLimit, 
 from chachart.node.net.security import Role, SecuritySettings, Tokens, endpoint_exposure
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
 from chachart.sinks.operations import Operations
+from chachart.sinks.plain import encoded, plain
 
 MAX_REQUEST_BYTES = 16 * 1024
 REQUESTS_A_TICK = 16
@@ -172,8 +173,8 @@ def _decode(parts: list[zmq.Frame]) -> dict[str, Any]:
 
 
 def _json(reply: dict[str, Any]) -> bytes:
-    return json.dumps(reply).encode()
+    return encoded(reply)
 
 
 def _msgpack(reply: dict[str, Any]) -> bytes:
-    return bytes(msgpack.packb(reply))
+    return bytes(msgpack.packb(plain(reply)))

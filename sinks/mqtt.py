@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -13,7 +12,7 @@ from chachart.node.data.extras import missing, require
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
 from chachart.sinks.gathering import Gathering
-from chachart.sinks.plain import plain
+from chachart.sinks.plain import encoded
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
@@ -102,11 +101,11 @@ class Mqtt(Sink):
 
     def on_quality(self, report: dict[str, Any]) -> None:
         """Send the report, to stay with the broker."""
-        self._send("quality", plain(report), retain=True)
+        self._send("quality", report, retain=True)
 
     def on_status(self, report: dict[str, Any]) -> None:
         """Send the report, to stay with the broker."""
-        self._send("status", plain(report), retain=True)
+        self._send("status", report, retain=True)
 
     def on_tick(self) -> None:
         """Send what is gathered when it is time."""
@@ -149,7 +148,7 @@ class Mqtt(Sink):
         from paho.mqtt.enums import MQTTErrorCode
 
         assert self._client is not None
-        sent = self._client.publish(self._topic(kind), json.dumps(values), qos=1, retain=retain)
+        sent = self._client.publish(self._topic(kind), encoded(values), qos=1, retain=retain)
         if sent.rc == MQTTErrorCode.MQTT_ERR_QUEUE_SIZE:
             self.lost.add("queue_full", max(rows, 1))
 

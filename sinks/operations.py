@@ -29,7 +29,6 @@ from chachart.node.data.methods import RhoMethod, ThetaMethod
 from chachart.node.data.settings import Settings
 from chachart.node.net.security import Role
 from chachart.sinks.base import NodeAccess
-from chachart.sinks.plain import plain
 from chachart.sinks.recordings import Recordings
 
 _FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*\.mcap$"
@@ -132,8 +131,8 @@ class Operations:
         self._folder = folder
         self.recordings = Recordings(folder)
 
-    def perform(self, request: Mapping[str, Any], role: Role = Role.STEERER) -> dict[str, Any]:
-        """Carry out `{"op": ..., arguments ...}` and answer with plain values. May block for seconds.
+    def perform(self, request: Mapping[str, Any], role: Role = Role.STEERER) -> Mapping[str, Any]:
+        """Carry out `{"op": ..., arguments ...}`; the answer may hold arrays. May block for seconds.
 
         Raises
         ------
@@ -147,8 +146,7 @@ class Operations:
             asked = _REQUESTS.validate_python(dict(request))
         except ValidationError as error:
             raise RequestError(_first_mistake(error)) from None
-        result: dict[str, Any] = plain(self._answer(asked))
-        return result
+        return self._answer(asked)
 
     def _answer(self, asked: _Request) -> Mapping[str, Any]:
         match asked:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -11,7 +10,7 @@ from chachart.node.files.whole_file import WholeFile
 from chachart.sinks.base import SinkSettings
 from chachart.sinks.file_sink import FileSink, FileSinkSettings
 from chachart.sinks.files import file_name
-from chachart.sinks.plain import plain
+from chachart.sinks.plain import encoded
 
 
 class QualityLogSettings(FileSinkSettings):
@@ -62,7 +61,7 @@ class QualityLog(FileSink[Lines]):
 
     def on_quality(self, report: dict[str, Any]) -> None:
         """Append the report."""
-        line = json.dumps({"time_ns": time.time_ns(), "array": self.array.name, **plain(report)})
+        line = encoded({"time_ns": time.time_ns(), "array": self.array.name, **report}).decode()
         self._write(1, lambda file: file.add(line))
 
     def _begin(self) -> tuple[Path, Lines]:

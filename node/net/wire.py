@@ -85,15 +85,14 @@ def chart_topic(array: str) -> bytes:
 
 def encode_chart(update: ChartUpdate, seq: int) -> bytes:
     """The msgpack body of a chart message; plain lists, so that any language reads it."""
-    body: dict[str, Any] = {
-        "v": VERSION,
-        "type": "chart",
-        "array": update.array,
-        "seq": seq,
-        "method": {"theta": update.method.theta, "rho": update.method.rho},
-    }
-    body |= {name: values.tolist() for name, values in update.columns.items()}
-    return bytes(msgpack.packb(body))
+    columns = {name: values.tolist() for name, values in update.columns.items()}
+    return bytes(msgpack.packb({**chart_body(update, seq), **columns}))
+
+
+def chart_body(update: ChartUpdate, seq: int) -> dict[str, Any]:
+    """What a chart message says beside its columns."""
+    method = {"theta": update.method.theta, "rho": update.method.rho}
+    return {"v": VERSION, "type": "chart", "array": update.array, "seq": seq, "method": method}
 
 
 def decode_chart(body: Buffer) -> tuple[int, ChartUpdate]:

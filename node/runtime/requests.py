@@ -12,13 +12,12 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
-import msgpack
 from pydantic import ValidationError
 
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.errors import RequestError
 from chachart.node.data.geometry import ArrayGeometry
-from chachart.node.net.wire import encode_chart
+from chachart.node.net.wire import chart_body
 from chachart.node.runtime.plan import Plan, estimator_problems
 
 TIMEOUT_S = 5.0
@@ -57,8 +56,7 @@ def chart_columns(chart: ChartUpdate | None, array: ArrayGeometry) -> dict[str, 
     """See `NodeAccess.chart_columns`."""
     if chart is None:
         return {}
-    body: dict[str, Any] = msgpack.unpackb(encode_chart(chart, 0))
-    return {**body, "geometry": array.as_dict()}
+    return {**chart_body(chart, 0), **chart.columns, "geometry": array.as_dict()}
 
 
 class PendingRequests:

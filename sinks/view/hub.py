@@ -7,7 +7,6 @@ falls further behind gets the whole chart once it listens again. Frames are enco
 from __future__ import annotations
 
 import asyncio
-import json
 import threading
 from collections import deque
 from typing import Any
@@ -17,7 +16,7 @@ from websockets.asyncio.server import ServerConnection
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.sinks.base import NodeAccess
-from chachart.sinks.plain import plain
+from chachart.sinks.plain import encoded, plain
 from chachart.sinks.view.frames import encode_frame
 
 FRAMES_WAITING = 4
@@ -122,7 +121,7 @@ class Hub:
         kept = self._statuses if kind == "status" else self._qualities
         kept.append(report)
         if self.viewers:
-            text = json.dumps({"type": kind, **report})
+            text = encoded({"type": kind, **report}).decode()
             for viewer in self.viewers:
                 viewer.text(kind, text)
 

@@ -22,6 +22,7 @@ from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.methods import RhoMethod, ThetaMethod
 from chachart.node.net.security import Role
 from chachart.sinks.operations import Operations
+from chachart.sinks.plain import encoded
 from chachart.sinks.view.curve import CurveKeeper
 from chachart.sinks.view.frames import describe
 from chachart.sinks.view.hub import Hub, Viewer
@@ -101,7 +102,7 @@ class Reception:
             result = await self._obey(viewer, asked, role)
         except (RequestError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
             return json.dumps({"type": "answer", "id": number, "error": str(error)})
-        return json.dumps({"type": "answer", "id": number, "result": result})
+        return encoded({"type": "answer", "id": number, "result": result}).decode()
 
     async def _obey(self, viewer: Viewer, asked: dict[str, Any], role: Role) -> Mapping[str, Any]:
         if asked == {"op": "sync"}:

@@ -13,7 +13,6 @@ GET  /healthz /readyz /metrics
 from __future__ import annotations
 
 import hashlib
-import json
 import time
 from collections.abc import Mapping
 from functools import partial
@@ -26,6 +25,7 @@ from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.sinks.base import NodeAccess, SinkSettings
 from chachart.sinks.operations import CHANGING, READING, Operations
+from chachart.sinks.plain import encoded
 from chachart.sinks.view.curve import CurveKeeper
 from chachart.sinks.view.hub import Hub, report
 from chachart.sinks.view.reception import Reception
@@ -119,7 +119,7 @@ def _download(operations: Operations, query: Query) -> Answer:
 def _control_routes(operations: Operations) -> dict[str, Route]:
     def control(op: str) -> Route:
         def answer(query: Query) -> Answer:
-            return Answer(json.dumps(operations.perform({**query, "op": op})).encode(), JSON)
+            return Answer(encoded(operations.perform({**query, "op": op})), JSON)
 
         return answer
 

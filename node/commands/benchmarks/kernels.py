@@ -8,7 +8,6 @@ import pstats
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,8 +21,13 @@ from chachart.node.commands.shared.cli import progress
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.methods import RhoMethod, ThetaMethod
+from chachart.node.estimation.covariance import Bank, Weights
+from chachart.node.estimation.direct_path import DirectPath
 from chachart.node.estimation.estimator import ChartEstimator
+from chachart.node.estimation.joint import JointLocator
+from chachart.node.estimation.manifold import Search
 from chachart.node.estimation.options import JOINT, SPECTRAL
+from chachart.node.estimation.separate import SeparateLocator
 from chachart.sources.scenario.channel import channels
 from chachart.sources.scenario.layout import place
 
@@ -36,11 +40,11 @@ PAIRS: tuple[tuple[ThetaMethod, RhoMethod], ...] = (
 )
 TEXTBOOK_UES = 96
 LITERAL_UES = 8
-STAGES = {
-    "covariance": {"separate.py:features", "joint.py:features", "covariance.py:add"},
-    "search": {"manifold.py:extremum", "direct_path.py:find"},
+STAGES: dict[str, tuple[Callable[..., Any], ...]] = {
+    "covariance": (SeparateLocator.features, JointLocator.features, Bank.add, Weights.add),
+    "search": (Search.extremum, DirectPath.find),
 }
-"""Functions of the estimation room whose time, with all that they call, is that of a stage; what is left of
+"""Functions whose time, with all that they call, is that of a stage; what is left of
 the whole is the map from covariance to spectrum."""
 
 
@@ -149,13 +153,14 @@ def stage_shares(call: Callable[[], Any]) -> list[float]:
     """Share of each of `STAGES` in a call's time."""
     profile = cProfile.Profile()
     profile.runcall(call)
-    stats: dict[Any, Any] = pstats.Stats(profile).stats  # type: ignore[attr-defined]
+    stats: dict[tuple[str, int, str], Any] = pstats.Stats(profile).stats  # type: ignore[attr-defined]
     total = max(entry[3] for entry in stats.values())
-    return [
-        sum(entry[3] for (file, _, name), entry in stats.items() if f"{Path(file).name}:{name}" in names)
-        / total
-        for names in STAGES.values()
-    ]
+    shares = []
+    for functions in STAGES.values():
+        codes = [function.__code__ for function in functions]
+        places = [(code.co_filename, code.co_firstlineno, code.co_name) for code in codes]
+        shares.append(sum(stats[place][3] for place in places if place in stats) / total)
+    return shares
 
 
 def _update_all(estimator: ChartEstimator, blocks: list[CsiBlock]) -> None:

@@ -2,85 +2,20 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from paths import JOINT, WIDE, Multipath, one_path, weaker_first
 
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation import bounds, quality
-from chachart.node.estimation.covariance import Grouping
 from chachart.node.estimation.estimator import ChartEstimator
-from chachart.node.estimation.phase_watch import PhaseWatch
 
 Build = Callable[..., Any]
-WIDE: dict[str, Any] = {"subcarrier_spacing_hz": 312.5e3}
-JOINT: dict[str, Any] = {"theta": "joint", "rho": "joint"}
-
-
-@dataclass
-class Multipath:
-    """Plane waves of theta (rad), rho (m) and amplitude (U, L); the first path is the direct one."""
-
-    array: ArrayGeometry
-    theta: np.ndarray
-    rho: np.ndarray
-    amplitude: np.ndarray
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        self.rng = np.random.default_rng(self.seed)
-        n = np.arange(self.array.antennas) - (self.array.antennas - 1) / 2
-        s = np.arange(self.array.subcarriers)
-        band = 1 + (self.array.subcarriers - 1) / 2 * self.array.subcarrier_spacing_hz / self.array.carrier_hz
-        u = self.array.theta_phase * band * np.cos(self.theta)
-        self.waves = (
-            self.amplitude[..., None, None]
-            * np.exp(1j * u[..., None] * n)[..., None]
-            * np.exp(1j * self.array.rho_phase * self.rho[..., None] * s)[..., None, :]
-        )
-        self.turn = np.exp(2j * np.pi * self.rng.random(self.theta.shape))
-
-    def block(self, snr_db: float, *, phase: str = "steady", frames: int = 1) -> CsiBlock:
-        """`frames` of each UE; phases are "steady", or "random" by frame or, with UEs "moving", by path."""
-        count = len(self.theta)
-        csi = []
-        for _ in range(frames):
-            turn = self.turn
-            if phase == "moving":
-                turn = np.exp(2j * np.pi * self.rng.random(self.theta.shape))
-            elif phase == "random":
-                turn = turn * np.exp(2j * np.pi * self.rng.random((count, 1)))
-            shape = (count, self.array.antennas, self.array.subcarriers, 2)
-            noise = self.rng.standard_normal(shape) @ [1, 1j] * 10 ** (-snr_db / 20) / 2**0.5
-            csi.append(np.einsum("ul,ulns->uns", turn, self.waves) + noise)
-        ue = np.tile(np.arange(count, dtype=np.uint64), frames)
-        return CsiBlock("lab", 0, ue, np.zeros(len(ue), np.int64), np.concatenate(csi).astype(np.complex64))
-
-    def errors(self, update: ChartUpdate) -> tuple[np.ndarray, np.ndarray]:
-        return np.abs(update.theta - self.theta[:, 0]), np.abs(update.rho - self.rho[:, 0])
-
-
-def weaker_first(array: ArrayGeometry, count: int, paths: int = 3, seed: int = 0) -> Multipath:
-    """Direct paths 4 dB below each of their echoes, which come from 70 m later on, up to 10 degrees off."""
-    rng = np.random.default_rng(seed)
-    theta = rng.uniform(np.pi / 4, 3 * np.pi / 4, (count, 1)) + rng.uniform(-0.17, 0.17, (count, paths))
-    rho = rng.uniform(100, 600, (count, 1)) + np.sort(rng.uniform(70, 300, (count, paths)), axis=1)
-    theta[:, 0] = theta[:, 1:].mean(axis=1)
-    rho[:, 0] = rho[:, 1] - rng.uniform(70, 100, count)
-    amplitude = np.ones((count, paths))
-    amplitude[:, 0] = 10 ** (-4 / 20)
-    return Multipath(array, theta, rho, amplitude, seed)
-
-
-def one_path(array: ArrayGeometry, rho: np.ndarray, theta: np.ndarray | None = None) -> Multipath:
-    if theta is None:
-        theta = np.random.default_rng(1).uniform(0.6, 2.5, len(rho))
-    return Multipath(array, theta[:, None], rho[:, None], np.ones((len(rho), 1)))
 
 
 @pytest.mark.parametrize("phase", [False, True])
@@ -149,54 +84,6 @@ def test_late_echoes_that_wrap_round_are_not_early_ones(los: Build) -> None:
     )
     update = ChartEstimator(array, **JOINT).update(world.block(5.0))
     assert np.mean(world.errors(update)[1] < 10) > 0.95
-
-
-def test_finding_out_that_phases_are_steady(los: Build) -> None:
-    world = weaker_first(los(2, **WIDE).array, 32)
-    auto, told = (ChartEstimator(world.array, **JOINT, phase=p) for p in ("auto", "steady"))
-    for _ in range(12):
-        block = world.block(-8.0)
-        a, b = auto.update(block), told.update(block)
-    assert np.array_equal(a.theta, b.theta)
-    assert np.array_equal(a.rho_std, b.rho_std)
-
-
-@pytest.mark.parametrize("phase", ["random", "moving"])
-@pytest.mark.parametrize("at_once", [False, True])
-def test_finding_out_that_phases_are_not_steady(los: Build, phase: str, at_once: bool) -> None:
-    world = weaker_first(los(2, **WIDE).array, 32)
-    auto, told = (ChartEstimator(world.array, **JOINT, phase=p) for p in ("auto", "random"))
-    for _ in range(1 if at_once else 10):
-        block = world.block(5.0, phase=phase, frames=10 if at_once else 1)
-        a, b = auto.update(block), told.update(block)
-    a, b = (e.update(world.block(5.0, phase=phase, frames=8)) for e in (auto, told))
-    assert np.mean(np.abs(a.rho - b.rho) < 3) > 0.95
-    assert np.mean(world.errors(a)[1] < 10) > 0.9
-    assert a.snapshots == pytest.approx(b.snapshots)
-
-
-def test_the_chart_does_not_jump_when_phases_turn_out_random(los: Build) -> None:
-    world = weaker_first(los(2, **WIDE).array, 64)
-    estimator = ChartEstimator(world.array, **JOINT, averaging="mean")
-    for _ in range(10):
-        before = estimator.update(world.block(3.0))
-    charts = [estimator.update(world.block(3.0, phase="random")) for _ in range(10)]
-    for chart in charts:
-        assert np.mean(np.abs(chart.rho - before.rho) < 3) > 0.95
-        assert np.mean(np.abs(chart.theta - before.theta) < 0.01) > 0.95
-    assert charts[-1].snapshots.tolist() == [20.0] * 64
-
-
-def test_ues_that_were_quiet_during_the_change_keep_what_they_had(los: Build) -> None:
-    world = weaker_first(los(2, **WIDE).array, 64)
-    estimator = ChartEstimator(world.array, **JOINT)
-    for _ in range(8):
-        before = estimator.update(world.block(0.0))
-    others = np.arange(32)
-    for _ in range(8):
-        estimator.update(world.block(0.0, phase="random").take(others))
-    after = estimator.update(world.block(0.0, phase="random"))
-    assert np.mean(np.abs(after.rho - before.rho)[32:] < 5) > 0.95
 
 
 @pytest.mark.parametrize("averaging", ["mean", "exponential"])
@@ -341,44 +228,6 @@ def test_spectrum_peaks_at_the_estimate(los: Build, phase: str) -> None:
     assert rho[np.argmax(found["rho_spectrum"])] == pytest.approx(found["rho"], abs=3)
     assert found["rho_spectrum"].max() == 1
     assert estimator.spectrum(7) is None
-
-
-def test_phase_watch_ignores_noise_and_single_frames() -> None:
-    rng = np.random.default_rng(0)
-    watch = PhaseWatch(1.0)
-    watch.resize(8)
-    noise = (rng.standard_normal((8, 16, 16, 2)) @ [1, 1j]).astype(np.complex64)
-    group, steady = Grouping(np.arange(8)), np.zeros(8, np.bool_)
-    for _ in range(50):
-        watch.look(group, noise, noise.copy(), steady)
-        other = (rng.standard_normal((8, 16, 16, 2)) @ [1, 1j]).astype(np.complex64)
-        watch.look(group, noise, noise + other, steady)
-    assert not watch.random(np.arange(8), steady).any()
-
-
-@pytest.mark.parametrize("averaging", ["mean", "exponential"])
-def test_each_ue_is_judged_by_its_own_phases_and_may_come_to_rest(los: Build, averaging: str) -> None:
-    """Of 64 UEs 16 move, each frame's paths having other phases, and then stand."""
-    world = weaker_first(los(2, **WIDE).array, 64)
-    moving = np.arange(64) % 4 == 0
-    auto, steady, random = (
-        ChartEstimator(world.array, **JOINT, averaging=averaging, phase=phase)
-        for phase in ("auto", "steady", "random")
-    )
-    for _ in range(40):
-        block = world.block(0.0)
-        block.csi[moving] = world.block(0.0, phase="moving").csi[moving]
-        a, told, mean = (estimator.update(block) for estimator in (auto, steady, random))
-    assert np.array_equal(a.rho[~moving], told.rho[~moving])
-    assert np.mean(np.abs(a.rho - mean.rho)[moving] < 5) > 0.9
-    assert np.mean(world.errors(a)[1][moving] < 10) > np.mean(world.errors(told)[1][moving] < 10)
-    for _ in range(80):
-        a, told = (estimator.update(world.block(0.0)) for estimator in (auto, steady))
-    assert np.mean(world.errors(a)[1][moving] < 10) > 0.9
-    fresh = ChartEstimator(world.array, **JOINT, averaging=averaging, phase="steady")
-    for _ in range(16):
-        told = fresh.update(world.block(0.0))
-    assert np.median(a.rho_std[moving]) < 1.2 * np.median(told.rho_std[moving])  # in phase again
 
 
 @pytest.mark.parametrize(("channels", "least"), [("qlos", 0.9995), ("qnlos", 0.995)])
