@@ -18,6 +18,7 @@ from chachart.node.data.geometry import ArrayGeometry
 from chachart.sinks.base import NodeAccess
 from chachart.sinks.plain import encoded, plain
 from chachart.sinks.view.frames import encode_frame
+from chachart.sinks.view.history import History
 
 FRAMES_WAITING = 4
 UPDATES_WAITING = 64
@@ -52,6 +53,13 @@ class Viewer:
         """Send the whole chart instead of what waits."""
         self._whole = True
         self._frames.clear()
+        self._wake.set()
+
+    def look_back(self, frame: bytes) -> None:
+        """A chart of the past instead of what flows; `flow(True)` ends it."""
+        self.flowing = self._whole = False
+        self._frames.clear()
+        self._frames.append(frame)
         self._wake.set()
 
     def flow(self, on: bool) -> None:
@@ -93,12 +101,15 @@ class Hub:
         The array and the node that the view belongs to.
     rate_hz
         Chart frames a second.
+    history
+        The chart of the last minutes.
     """
 
-    def __init__(self, array: ArrayGeometry, node: NodeAccess, rate_hz: float) -> None:
+    def __init__(self, array: ArrayGeometry, node: NodeAccess, rate_hz: float, history: History) -> None:
         self.viewers: set[Viewer] = set()
         self.array = array
         self.rate_hz = rate_hz
+        self.history = history
         self._node = node
         self._updates: list[ChartUpdate] = []
         self._lock = threading.Lock()
@@ -121,7 +132,7 @@ class Hub:
         kept = self._statuses if kind == "status" else self._qualities
         kept.append(report)
         if self.viewers:
-            text = encoded({"type": kind, **report}).decode()
+            text = encoded({"type": kind, "history_s": self.history.seconds(), **report}).decode()
             for viewer in self.viewers:
                 viewer.text(kind, text)
 

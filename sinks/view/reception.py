@@ -3,7 +3,8 @@
 The node sends chart frames (binary, `chachart.sinks.view.frames`) and as JSON text `hello`, `status` and
 `quality`. The page sends `{"id", "op", arguments}` and gets `{"type": "answer", "id", "result" | "error"}`.
 Besides the operations of `chachart.sinks.operations`, `{"op": "stream", "on"}` stops and resumes charts,
-`{"op": "sync"}` asks for the whole chart, and `{"op": "curve"}` for TW and CT against K.
+`{"op": "sync"}` asks for the whole chart, `{"op": "past", "ago_s"}` for that of some time ago (then no other
+flows until `stream` is on again), and `{"op": "curve"}` for TW and CT against K.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from chachart.node.net.security import Role
 from chachart.sinks.operations import Operations
 from chachart.sinks.plain import encoded
 from chachart.sinks.view.curve import CurveKeeper
-from chachart.sinks.view.frames import describe
+from chachart.sinks.view.frames import describe, encode_frame
 from chachart.sinks.view.hub import Hub, Viewer
 from chachart.sinks.web.connection import WebConnection
 
@@ -45,16 +46,25 @@ class Reception:
         So many may be there at the same time.
     page_id
         Changes with the page's files, so that a page left open loads itself anew after an upgrade.
+    names
+        Of UEs, for people.
     """
 
     def __init__(
-        self, hub: Hub, operations: Operations, curve: CurveKeeper, max_viewers: int, page_id: str
+        self,
+        hub: Hub,
+        operations: Operations,
+        curve: CurveKeeper,
+        max_viewers: int,
+        page_id: str,
+        names: Mapping[int, str],
     ) -> None:
         self._hub = hub
         self._operations = operations
         self._curve = curve
         self._max_viewers = max_viewers
         self._page_id = page_id
+        self._names = {str(ue): name for ue, name in names.items()}
 
     async def welcome(self, connection: WebConnection) -> None:
         """One viewer, from coming to going."""
@@ -85,6 +95,7 @@ class Reception:
                 "array": self._hub.array.as_dict(),
                 "places": _places(self._hub.array),
                 "columns": describe(),
+                "names": self._names,
                 "methods": {"theta": get_args(ThetaMethod), "rho": get_args(RhoMethod)},
                 "rate_hz": self._hub.rate_hz,
                 **self._hub.past(),
@@ -110,10 +121,21 @@ class Reception:
             return {}
         if asked == {"op": "curve"}:
             return await self._curve.get()
+        if asked.get("op") == "past":
+            return await asyncio.to_thread(self._look_back, viewer, asked.get("ago_s"))
         if asked.get("op") == "stream" and type(asked.get("on")) is bool:
             viewer.flow(asked["on"])
             return {}
         return await asyncio.to_thread(self._operations.perform, asked, role)
+
+    def _look_back(self, viewer: Viewer, ago_s: Any) -> dict[str, Any]:
+        if type(ago_s) not in (int, float) or not ago_s >= 0:
+            raise RequestError(f"ago_s must be how many seconds ago, not {ago_s!r}"[:200])
+        chart = self._hub.history.at(ago_s)
+        if chart is None:
+            raise RequestError(f"nothing is known of {ago_s:.0f} s ago")
+        viewer.look_back(encode_frame(chart, self._hub.array, full=True))
+        return {"ues": len(chart), "history_s": self._hub.history.seconds()}
 
 
 def _places(array: ArrayGeometry) -> list[list[float]] | None:

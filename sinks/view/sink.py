@@ -22,12 +22,15 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field
 
 from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.sinks.base import NodeAccess, SinkSettings
 from chachart.sinks.operations import CHANGING, READING, Operations
 from chachart.sinks.plain import encoded
 from chachart.sinks.view.curve import CurveKeeper
+from chachart.sinks.view.history import History
 from chachart.sinks.view.hub import Hub, report
+from chachart.sinks.view.names import load_names
 from chachart.sinks.view.reception import Reception
 from chachart.sinks.web.answers import JSON, Answer, Query, Route
 from chachart.sinks.web.server import WebServer
@@ -54,6 +57,10 @@ class ViewSettings(WebSettings):
     """So many may look at the same time."""
     record_folder: Path = Field(Path("."), validate_default=False)
     """Where recordings that viewers start go; they choose the file's name and nothing else."""
+    history_bytes: int = Field(64 * 1024**2, ge=0)
+    """The last minutes of the chart are kept within so many bytes, for viewers to look back; 0 keeps none."""
+    names: Path | None = Field(None, validate_default=False)
+    """A CSV file with names of UEs: number or MAC address, then the name."""
 
 
 class View(WebSink):
@@ -65,14 +72,25 @@ class View(WebSink):
     def __init__(self, settings: Any, array: ArrayGeometry) -> None:
         super().__init__(settings, array)
         self._hub: Hub | None = None
+        self._history = History(self.settings.history_bytes)
         self._pages = {file.name: file.read_bytes() for file in sorted(PAGE.iterdir())}
 
+    @classmethod
+    def problems(cls, settings: Any) -> list[str]:
+        """Whether the port is free and the names can be read."""
+        try:
+            load_names(settings.names) if settings.names else None
+        except SetupError as error:
+            return [*super().problems(settings), str(error)]
+        return super().problems(settings)
+
     def _serve(self, node: NodeAccess, routes: Mapping[str, Route]) -> WebServer:
-        self._hub = Hub(self.array, node, self.settings.rate_hz)
+        names = load_names(self.settings.names) if self.settings.names else {}
+        self._hub = Hub(self.array, node, self.settings.rate_hz, self._history)
         operations = Operations(node, self.settings.record_folder)
         page_id = hashlib.sha256(b"".join(self._pages.values())).hexdigest()[:16]
         curve = CurveKeeper(node, self.array)
-        reception = Reception(self._hub, operations, curve, self.settings.max_viewers, page_id)
+        reception = Reception(self._hub, operations, curve, self.settings.max_viewers, page_id, names)
         kept: dict[str, Route] = {"GET /recordings": partial(_download, operations)}
         return WebServer(
             self.settings,
@@ -84,7 +102,8 @@ class View(WebSink):
         )
 
     def on_chart(self, update: ChartUpdate) -> None:
-        """Pass estimates on to viewers, if there are any."""
+        """Pass estimates on to viewers, if there are any, and keep them for a while."""
+        self._history.take(update)
         if self._hub is not None:
             self._hub.offer(update)
 

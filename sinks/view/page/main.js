@@ -3,7 +3,10 @@
 import { showAntennas, showResponse } from './antennas.js';
 import { redraw } from './curve.js';
 import { saveCsv, savePng, stamp } from './export.js';
+import { History } from './history.js';
 import { bindKeys } from './keys.js';
+import { List } from './list.js';
+import { Names } from './names.js';
 import { number, showHistory, showNode, showQuality, showQualityAgainstK, showQualityOverTime, showSpectra, showUser } from './panels.js';
 import { Picture } from './picture.js';
 import { Recordings } from './recordings.js';
@@ -16,6 +19,10 @@ const $ = (id) => document.getElementById(id);
 const world = new World();
 const picture = new Picture($('plot'), world, (row) => select(row < 0 ? null : world.ue[row]));
 const stream = new Stream();
+const names = new Names();
+picture.names = names;
+const list = new List(world, names, (ue) => select(ue));
+const history = new History(stream, () => pill(), toast);
 const recordings = new Recordings(stream);
 const replay = new Replay(stream, () => {
   world.clear();
@@ -64,15 +71,17 @@ const ended = () => stream.state === 'gone' && ['draining', 'stopped'].includes(
 function pill() {
   const words = { live: 'live', paused: 'paused', gone: ended() ? 'node ended' : 'node gone', connecting: 'connecting' };
   const over = stream.state === 'live' && replay.plays?.ended;
-  const still = stream.state === 'live' && replay.plays?.paused;
+  const past = stream.state === 'live' && history.looking;
+  const still = past || (stream.state === 'live' && replay.plays?.paused);
   $('link').dataset.state = ended() || over ? 'ended' : still ? 'paused' : stream.state;
-  $('link').textContent = over ? 'end of the recording' : still ? 'paused' : replay.plays && stream.state === 'live' ? 'replay' : words[stream.state];
+  $('link').textContent = past ? 'in the past' : over ? 'end of the recording' : still ? 'paused' : replay.plays && stream.state === 'live' ? 'replay' : words[stream.state];
 }
 
 stream.addEventListener('hello', ({ detail }) => {
   if (hello && hello.page !== detail.page) location.reload();
   hello = detail;
   world.describe(hello.columns);
+  names.take(hello.names);
   const { array } = hello;
   $('array').textContent = `${array.name} · ${array.antennas} antennas · ${array.subcarriers} subcarriers · ${number(array.carrier_hz / 1e9)} GHz`;
   document.title = `${array.name} · chachart`;
@@ -103,13 +112,14 @@ stream.addEventListener('status', ({ detail }) => {
 function takeStatus(status) {
   showNode(status, statuses);
   replay.take(status.source_details?.replay);
+  history.take(status.history_s ?? 0, replay.shown);
   recordings.take(status.recording);
   showAntennas(status.antennas, hello.array, hello.places);
   pill();
   const on = Boolean(status.recording);
   $('record').setAttribute('aria-pressed', on);
   // UEs that the node has forgotten: the whole chart says which.
-  excess = status.ues < world.rows ? excess + 1 : 0;
+  excess = status.ues < world.rows && !history.looking ? excess + 1 : 0;
   if (excess > 2 && stream.state === 'live') {
     excess = 0;
     stream.ask('sync').catch(() => {});
@@ -164,9 +174,10 @@ async function refresh() {
   const row = picture.ue === null ? undefined : world.index.get(picture.ue);
   $('user').hidden = picture.ue === null;
   if (row === undefined) return;
-  const truth = showUser(world, row, hello.array);
+  const truth = showUser(world, row, hello.array, names);
   showHistory(world, row, $('historyof').value);
-  if (asking || stream.state === 'gone') return;
+  if (history.looking) showSpectra(null, truth);
+  if (asking || history.looking || stream.state === 'gone') return;
   asking = true;
   const { ue } = picture;
   try {
@@ -189,7 +200,7 @@ function select(ue) {
   refresh();
   const row = world.index.get(ue);
   say(row === undefined ? 'nothing selected'
-    : `UE ${ue}, x ${number(world.x[row])} metres, y ${number(world.y[row])} metres, SNR ${number(world.snr[row])} decibel`);
+    : `UE ${names.of(ue)}, x ${number(world.x[row])} metres, y ${number(world.y[row])} metres, SNR ${number(world.snr[row])} decibel`);
 }
 
 /** The next UE by number, forwards or backwards. */
@@ -290,18 +301,22 @@ $('trails').addEventListener('change', () => {
 });
 $('find').addEventListener('submit', (event) => {
   event.preventDefault();
-  const text = $('ue').value.trim();
-  const ue = /^\d{1,20}$/.test(text) ? BigInt(text) : null;
-  if (ue !== null && world.index.has(ue)) {
+  const ue = names.find($('ue').value, world);
+  if (ue !== null) {
     select(ue);
     $('plot').focus();
-  } else toast(`No UE ${text} in the chart`);
+  } else toast(`No UE ${$('ue').value.trim()} in the chart`);
 });
 for (const kind of ['theta', 'rho']) $(kind).addEventListener('change', () => changeMethod(kind));
 $('qualityof').addEventListener('change', takeQuality);
 $('historyof').addEventListener('change', refresh);
 $('response').addEventListener('toggle', refresh);
+$('follow').addEventListener('change', () => {
+  picture.follow = $('follow').checked;
+  picture.touch(true);
+});
 const clicks = {
+  ues: () => list.show(),
   pause, record, png, csv, theme: () => theme(dark() ? 'light' : 'dark'), reset: () => picture.fit(), close: () => select(null),
   in: () => picture.view.zoom(1.4), out: () => picture.view.zoom(1 / 1.4), help: () => $('keys').showModal(), cancel: () => $('recording').close(),
 };
@@ -310,7 +325,9 @@ for (const [id, run] of Object.entries(clicks)) $(id).addEventListener('click', 
 bindKeys([
   [[' '], 'pause or resume', () => (replay.shown ? replay.toggle() : pause())],
   [['n', 'p'], 'next, previous UE', (event) => step(event.key === 'n')],
-  [['/'], 'find a UE by its number', () => $('ue').focus()],
+  [['u'], 'all UEs as a table', () => list.show()],
+  [['f'], 'follow the UE', () => $('follow').click()],
+  [['/'], 'find a UE by its number or name', () => $('ue').focus()],
   [['Escape'], 'let go of the UE', () => select(null)],
   [['ArrowLeft', 'ArrowRight', 'ArrowUp', 'ArrowDown'], 'move the view', ({ key: k, shiftKey }) => {
     const far = shiftKey ? 200 : 50;

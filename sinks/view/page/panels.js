@@ -111,10 +111,11 @@ const decibels = (values) => {
 };
 
 /** The numbers of one UE, from the table. */
-export function showUser(world, row, array) {
+export function showUser(world, row, array, names) {
   const truth = Number.isFinite(world.true_x[row]);
   const age = (world.now() - world.time[row]) / 1000;
-  element('username').textContent = `UE ${world.ue[row]}`;
+  const called = names.of(world.ue[row]);
+  element('username').textContent = called === `${world.ue[row]}` ? `UE ${called}` : `${called} · UE ${world.ue[row]}`;
   facts(element('userfacts'), [
     ['θ', `${number(world.theta[row] * DEGREES, 4)}°`, { unit: `± ${number(world.theta_std[row] * DEGREES, 2)}°`, kind: 'big' }],
     ['ρ', number(world.rho[row], 4), { unit: `± ${number(world.rho_std[row], 2)} m`, kind: 'big' }],
@@ -132,7 +133,7 @@ export function showUser(world, row, array) {
   return { theta: Math.acos(y[row] / rho), rho };
 }
 
-/** Both spectra of the selected UE with peak and standard deviation. */
+/** Both spectra of the selected UE with peak and standard deviation; null of a time whose spectra are not kept. */
 export function showSpectra(spectrum, truth) {
   const plot = (canvas, grid, values, peak, std, scale, range, unit, known) => {
     const at = peak * scale;
@@ -143,10 +144,10 @@ export function showSpectra(spectrum, truth) {
       bands: half > 0 ? [[at - half, at + half]] : [],
       marks: [...(Number.isFinite(known) ? [{ x: known * scale, colour: 'b', dashed: true, name: 'truth' }] : []),
         { x: at, colour: 'accent', name: 'peak ± σ' }],
-      empty: 'this method has no spectrum',
+      empty: spectrum ? 'this method has no spectrum' : 'not kept for the past',
     });
   };
-  const s = spectrum;
+  const s = spectrum ?? {};
   plot('thetaplot', s.theta_grid_rad, s.theta_spectrum, s.theta, s.theta_std, DEGREES, [0, 180], '°', truth.theta);
   plot('rhoplot', s.rho_grid_m, s.rho_spectrum, s.rho, s.rho_std, 1, undefined, 'm', truth.rho);
 }

@@ -142,6 +142,7 @@ export class Picture {
       this.stale = true;
       if (this.view.auto) this.fit();
     }
+    this.#followUe();
     const panes = this.view.panes(ratio);
     if (this.stale) {
       this.context.fillStyle = this.colours.plot;
@@ -167,6 +168,17 @@ export class Picture {
     }
     scatter.show();
     this.#overlay(panes, ratio);
+  }
+
+  /** Keep the selected UE in the middle, where that is wished for. */
+  #followUe() {
+    const row = this.follow && this.ue !== null ? this.world.index.get(this.ue) : undefined;
+    if (row === undefined || !Number.isFinite(this.world.px[row])) return;
+    const centre = [this.world.px[row], this.world.py[row]];
+    if (Math.hypot(centre[0] - this.view.centre[0], centre[1] - this.view.centre[1]) * this.view.scale < 0.5) return;
+    this.view.auto = false;
+    this.view.centre = centre;
+    this.stale = true;
   }
 
   /** Trails grow once a second only: draw them into the ground now and then. */
@@ -230,7 +242,8 @@ export class Picture {
     context.arc(x, y, (selected ? 8 : 6) * ratio, 0, 2 * Math.PI);
     context.stroke();
     context.font = `600 ${font(ratio, 12)}`;
-    const text = selected ? `${world.ue[row]}` : `${world.ue[row]} · ${world.snr[row].toFixed(0)} dB`;
+    const called = this.names?.of(world.ue[row]) ?? `${world.ue[row]}`;
+    const text = selected ? called : `${called} · ${world.snr[row].toFixed(0)} dB`;
     const width = context.measureText(text).width + 10 * ratio;
     const left = x + 12 * ratio + width > pane.right ? x - 12 * ratio - width : x + 12 * ratio;
     context.fillStyle = colours.panel;

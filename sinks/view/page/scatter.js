@@ -3,6 +3,7 @@
 import { HISTORY } from './world.js';
 
 const TRAIL_POINTS = 24000; // of all UEs together
+const TRAIL_MS = 60000; // a trail has faded away after so long of the data's time
 const PHASES = 4; // sub-pixel positions a disc is prepared for, in each direction
 
 /** Discs of `radius` pixels, one a sub-pixel phase: where their pixels are in an image so wide, and how covered. */
@@ -97,15 +98,17 @@ export class Scatter {
   /** Where every UE has been, fading with age; the more UEs, the shorter. */
   trails(world, pane, weight) {
     const { traces } = world;
-    const { x: xs, y: ys } = world.past;
+    const { x: xs, y: ys, time: times } = world.past;
     const { x0, y0, scale } = pane;
+    const now = world.newest;
     const longest = Math.min(HISTORY, Math.max(4, Math.round(TRAIL_POINTS / world.rows)));
     for (let i = 0; i < world.rows; i++) {
       const count = Math.min(traces[i], longest);
       let at = i * HISTORY + ((traces[i] - 1) % HISTORY);
       for (let back = 1; back < count; back++) {
         const from = at > i * HISTORY ? at - 1 : at + HISTORY - 1;
-        const alpha = Math.round(weight * (1 - back / (longest + 1)));
+        const alpha = Math.round(weight * (1 - back / (longest + 1)) * Math.max(0, 1 - (now - times[from]) / TRAIL_MS));
+        if (!alpha) break;
         this.#line(pane, x0 + xs[at] * scale, y0 - ys[at] * scale, x0 + xs[from] * scale, y0 - ys[from] * scale, this.colours[i], alpha);
         at = from;
       }
@@ -118,6 +121,7 @@ export class Scatter {
     const { x: xs, y: ys } = world.past;
     const { x0, y0, scale } = pane;
     for (let i = 0; i < world.rows; i++) {
+      if (!traces[i]) continue;
       const at = i * HISTORY + ((traces[i] - 1) % HISTORY);
       this.#line(pane, x0 + px[i] * scale, y0 - py[i] * scale, x0 + xs[at] * scale, y0 - ys[at] * scale, this.colours[i], weight);
     }

@@ -173,3 +173,43 @@ def test_a_visitor_from_elsewhere_is_asked_for_the_token(node: LiveNode, token: 
         all_there(page)
         assert "token" not in page.url
         assert [text for text in complaints if "401" not in text] == []
+
+
+def test_names_lists_and_looking_back(tmp_path: Path) -> None:
+    (tmp_path / "names.csv").write_text("7,forklift\n00:00:00:00:00:09,drone\n")
+    port = free_port()
+    sinks = f'[[sinks]]\ntype = "view"\nport = {port}\nnames = "names.csv"'
+    node = LiveNode(tmp_path, sinks, source='motion = "waypoint"\nspeed_m_s = 20.0')
+    with (
+        node,
+        browse(f"http://127.0.0.1:{port}/", viewport={"width": 400, "height": 800}) as (page, complaints),
+    ):
+        all_there(page)
+        page.fill("#ue", "FORK")
+        page.press("#ue", "Enter")
+        page.wait_for_selector("#username:has-text('forklift · UE 7')")
+        page.click("#ues")
+        page.wait_for_selector("#listtable tbody tr:nth-child(60)")
+        page.click("#listtable button[data-by=rho]")
+        ranges = "[...document.querySelectorAll('#listtable tbody tr')].map(row => +row.cells[2].textContent)"
+        found = page.evaluate(ranges)
+        assert found == sorted(found)
+        page.fill("#filter", "drone rho>1")
+        wait(page, "document.querySelectorAll('#listtable tbody tr').length === 1")
+        page.click("#listtable tbody tr")
+        page.wait_for_selector("#username:has-text('drone · UE 9')")
+        page.check("#follow")
+        wait(
+            page,
+            "Math.abs(chachart.picture.view.centre[0] - chachart.world.px[chachart.world.index.get(9n)]) < 5",
+        )
+        page.wait_for_selector("#history:not([hidden])")
+        newest = page.evaluate("chachart.world.newest")
+        page.focus("#ago")
+        page.keyboard.press("Home")
+        page.wait_for_selector("#link:has-text('in the past')")
+        wait(page, "newest => chachart.world.newest < newest", newest)
+        page.click("#now")
+        page.wait_for_selector("#link[data-state=live]")
+        wait(page, "newest => chachart.world.newest > newest", newest)
+        assert complaints == []
