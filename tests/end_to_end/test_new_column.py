@@ -21,6 +21,7 @@ from chachart.node.net.wire import decode_chart, encode_chart
 from chachart.node.runtime.messages import pack_update, unpack_update
 from chachart.node.runtime.requests import chart_columns, ue_list
 from chachart.node.runtime.table import ChartTable
+from chachart.sinks.plain import plain
 from chachart.sinks.view.frames import describe, encode_frame
 
 NEW = (
@@ -97,7 +98,7 @@ def test_in_the_table(chart: ChartUpdate) -> None:
 
 def test_in_answers_to_requests(chart: ChartUpdate) -> None:
     assert [ue["hops"] for ue in ue_list(chart)["ues"]] == chart["hops"].tolist()
-    assert chart_columns(chart, plotted_array())["drift"] == chart["drift"].tolist()
+    np.testing.assert_array_equal(chart_columns(chart, plotted_array())["drift"], chart["drift"])
 
 
 def test_in_chart_logs(log: Path, chart: ChartUpdate) -> None:
@@ -135,7 +136,7 @@ def test_in_ctl(chart: ChartUpdate, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "tilt °" in heading
     assert "drift m/s" in heading
     assert len(rows) == 8
-    answer = chart_columns(chart, plotted_array())
+    answer = plain(chart_columns(chart, plotted_array()))
     ctl.save_chart(answer, tmp_path / "chart.csv")
     with (tmp_path / "chart.csv").open(newline="") as file:
         assert [int(row["hops"]) for row in csv.DictReader(file)] == list(range(8))
