@@ -57,7 +57,7 @@ class ArraySettings(Settings):
     dead_tones: tuple[int, ...] = Field((), examples=[(0, 31)])
     """Subcarriers that do not count, by their place in the frames (0 ... subcarriers - 1)."""
     element_spacing_m: float | None = Field(None, gt=0)
-    """Distance between neighbouring elements; half a wavelength where it is not set."""
+    """Distance between neighbouring elements; not set: half the wavelength of the highest subcarrier."""
     position_m: Vector = (0.0, 0.0, 10.0)
     """World position of a line's element 0, of the middle of a board or circle, of the origin of elements."""
     axis: Direction = "y"
@@ -118,7 +118,7 @@ class ArraySettings(Settings):
         band = (self._subcarriers(), self.carrier_hz, self.subcarrier_spacing_hz)
         position = self.position_m
         if described is None:
-            spacing = self.element_spacing_m or light / self.carrier_hz / 2
+            spacing = self.element_spacing_m or self._half_wave()
             return ArrayGeometry(self.name, self.antennas, *band, spacing, position, **pose)
         if described.position_m is not None and "position_m" not in self.model_fields_set:
             position = described.position_m
@@ -131,7 +131,6 @@ class ArraySettings(Settings):
             return None
         if len(given) > 1 and given != ["rows", "columns"]:
             raise ValueError(f"{' and '.join(given)} cannot both be set: each is another shape")
-        half_wave = self.light_speed_m_s / self.carrier_hz / 2
         if self.radius_m is not None:
             return ArrayFile(circle(self.antennas, self.radius_m))
         if self.file is not None:
@@ -139,7 +138,7 @@ class ArraySettings(Settings):
         elif self.elements is not None:
             found = ArrayFile(np.array(self.elements, np.float64).reshape(-1, 3))
         else:
-            spacing = self.element_spacing_m or half_wave
+            spacing = self.element_spacing_m or self._half_wave()
             found = ArrayFile(grid(self.rows or 1, self.columns or 1, spacing, self.row_spacing_m))
         if "antennas" in self.model_fields_set and self.antennas != len(found.elements):
             shape = " and ".join(given)
@@ -167,6 +166,11 @@ class ArraySettings(Settings):
             return axis, (1.0, 0.0, 0.0)
         side = np.array([axis[1], -axis[0], 0.0])
         return axis, _tuple(side / np.linalg.norm(side))
+
+    def _half_wave(self) -> float:
+        """Half the shortest wavelength: up to it no direction passes for another, in any subcarrier."""
+        highest = self._subcarriers() - 1 if self.tones is None else max(self.tones, default=0)
+        return self.light_speed_m_s / (self.carrier_hz + highest * self.subcarrier_spacing_hz) / 2
 
     def _subcarriers(self) -> int:
         """As many as there are tones, where only those are said."""

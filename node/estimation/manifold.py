@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.lattice import SPARSE, Lattice, Whole
@@ -28,6 +29,8 @@ them, where the main lobe has lost 5 %, well inside the region that Newton steps
 MOST_FINER = 16
 """How many times finer the grid may get where side lobes are nearly as high as the main one."""
 
+SURE = 6.0
+"""Standard deviations beyond which noise is not expected to reach."""
 CONVERGED = 1e-4
 """In resolution cells: after a step as small, Newton's error is of the order of its square."""
 
@@ -111,10 +114,22 @@ class AngleManifold(UniformManifold):
         return self.phase * np.cos(np.asarray(coordinate, np.float64))
 
     def coordinate_std(self, u: Floats, u_std: Floats) -> Floats:
-        """|d theta / d u| = 1 / (phase sin theta); near the array's axis the curve's own bend limits it."""
+        """|d theta / d u| = 1 / (phase sin theta); near the array's axis the curve's own bend limits it.
+
+        Where u turned by 2 pi is a direction, too, or misses one by no more than noise may make up for, the
+        estimate may be either: the error is then the distance between both, as often as that happens.
+        """
         spread = u_std / self.phase
         sine = np.sqrt(np.maximum(1 - (u / self.phase) ** 2, 0))
-        return spread / np.maximum(sine, np.sqrt(spread))
+        std: Floats = spread / np.maximum(sine, np.sqrt(spread))
+        missing = 2 * math.pi - np.abs(u) - self.phase
+        either = np.flatnonzero(missing < SURE * u_std)
+        if len(either):
+            other = -np.sign(u[either]) * np.minimum(2 * math.pi - np.abs(u[either]), self.phase)
+            apart = self.coordinate(u[either]) - self.coordinate(other)
+            often = np.minimum(ndtr(-missing[either] / u_std[either]), 0.5)
+            std[either] = np.sqrt(std[either] ** 2 + often * apart**2)
+        return std
 
 
 @dataclass(frozen=True, slots=True)

@@ -141,6 +141,10 @@ def resolve_array(
         array = replace(configured.geometry(), calibration=configured.correction())
     except ValueError as error:
         raise SetupError(f"[array]: {error}") from None
+    if carried is not None and configured.element_spacing_m is None and array.is_line:
+        half_wave = array.wavelength_m / 2  # of the carrier: what went without saying in older recordings
+        if math.isclose(carried.element_spacing_m, half_wave, rel_tol=1e-6):
+            array = replace(array, element_spacing_m=half_wave)
     if carried is not None and (differences := array.mismatches(carried)):
         raise SetupError(
             f'[array] does not fit source "{source_settings.type}": {"; ".join(differences)} '

@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from chachart.config.settings import ArraySettings
 from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.options import SPECTRAL
 
@@ -107,3 +109,49 @@ def test_a_mean_of_very_many_frames_still_moves(los: Build, options: dict[str, A
             added = after[name] - before[name]
             assert np.linalg.norm(added - rows) <= 0.1 * np.linalg.norm(rows), name
     assert after["locator.weights.sum.rows[]"] == before["locator.weights.sum.rows[]"] + 1
+
+
+def plane_waves(array: ArrayGeometry, theta: float, count: int, snr_db: float) -> np.ndarray:
+    """Frames (count, N_R, N_S) of plane waves from 200 m away, of random phase, in noise."""
+    rng = np.random.default_rng(0)
+    m = np.arange(array.antennas) - (array.antennas - 1) / 2
+    turns = array.frequencies_hz / array.light_speed_m_s
+    path = 200.0 - m[:, None] * array.element_spacing_m * np.cos(theta)
+    wave = np.exp(-2j * np.pi * (turns * path + rng.random((count, 1, 1))))
+    noise = rng.standard_normal((*wave.shape, 2)).view(np.complex128)[..., 0]
+    return wave + noise * 10 ** (-snr_db / 20) / 2**0.5
+
+
+@pytest.mark.parametrize("method", ["bartlett", "music", "joint"])
+@pytest.mark.parametrize("theta_deg", [2.0, 5.0, 20.0, 175.0])
+def test_wide_bands_keep_the_ends_of_a_default_array_apart(theta_deg: float, method: Any) -> None:
+    """The default spacing is half the shortest wavelength: 5 degrees do not come out as 171.3 +- 0.0."""
+    array = ArraySettings(antennas=8, subcarriers=256, subcarrier_spacing_hz=312.5e3).geometry()
+    estimator = ChartEstimator(array, theta=method, rho="joint" if method == "joint" else "bartlett")
+    frames = plane_waves(array, np.radians(theta_deg), 64, 10.0)
+    update = estimator.update(frames, ue=np.arange(64), time_ns=0)
+    error = update.theta - np.radians(theta_deg)
+    assert np.abs(np.degrees(error)).max() < 3
+    assert 0.3 < np.sqrt(np.mean((error / update.theta_std) ** 2)) < 2
+
+
+@pytest.mark.parametrize(("theta_deg", "snr_db"), [(5.0, 0.0), (175.0, 0.0), (10.0, -10.0), (90.0, 0.0)])
+def test_deviations_near_the_ends_say_how_often_an_end_is_taken_for_the_other(
+    theta_deg: float, snr_db: float
+) -> None:
+    array = ArraySettings(antennas=8).geometry()  # hardly any band: both ends look nearly alike
+    frames = plane_waves(array, np.radians(theta_deg), 256, snr_db)
+    update = ChartEstimator(array).update(frames, ue=np.arange(256), time_ns=0)
+    error = float(np.sqrt(np.mean((update.theta - np.radians(theta_deg)) ** 2)))
+    told = float(np.sqrt(np.mean(update.theta_std**2)))
+    assert 0.5 < error / told < 2
+
+
+def test_directions_that_look_alike_are_told_so() -> None:
+    wide = ArraySettings(antennas=8, subcarriers=256, subcarrier_spacing_hz=312.5e3, element_spacing_m=0.075)
+    array = wide.geometry()
+    estimator = ChartEstimator(array)
+    at_the_end = estimator.update(plane_waves(array, np.radians(5.0), 8, 20.0), ue=np.arange(8), time_ns=0)
+    assert (at_the_end.theta_std > 1.0).all()
+    abeam = estimator.update(plane_waves(array, np.radians(70.0), 8, 20.0), ue=np.arange(8, 16), time_ns=0)
+    assert (abeam.theta_std < 0.01).all()

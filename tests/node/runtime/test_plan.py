@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -51,6 +52,18 @@ def test_an_array_that_agrees_keeps_its_own_name(capture: Path) -> None:
         broadside=array.broadside,
     )
     assert resolve_array(own, Recording, RecordingSettings(path=capture)).name == "roof"
+
+
+def test_a_recording_of_half_the_carriers_wavelength_fits_a_default_array(tmp_path: Path) -> None:
+    own = ArraySettings(antennas=4, subcarriers=3, subcarrier_spacing_hz=1e6)
+    older = replace(own.geometry(), element_spacing_m=own.geometry().wavelength_m / 2)
+    path = tmp_path / "older.mcap"
+    with RecordingWriter(path, older) as writer:
+        writer.write(some_block())
+    assert resolve_array(own, Recording, RecordingSettings(path=path)) == older
+    wider = ArraySettings(antennas=4, subcarriers=3, subcarrier_spacing_hz=1e6, element_spacing_m=0.08)
+    with pytest.raises(SetupError, match="element_spacing_m"):
+        resolve_array(wider, Recording, RecordingSettings(path=path))
 
 
 def test_every_difference_is_told(capture: Path) -> None:
