@@ -2,7 +2,7 @@
 
 A request is one message, msgpack or JSON: `{"op": "spectrum", "ue": 7}`. The reply comes in the same
 encoding: `{"ok": true, "result": {...}}` or `{"ok": false, "error": "..."}`; an error has changed nothing.
-Once a token is set, requests must carry it as `"token"`.
+Once a token is set, requests must carry it as `"token"`; where keys are needed, the key says what one may do.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pydantic import Field
 
 from chachart.node.data.errors import RequestError, SetupError
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.net.doorkeeper import Doorkeeper, key_problems, needs_keys
 from chachart.node.net.endpoints import Endpoint, bind, bind_problems, fixed, is_local, is_loopback
 from chachart.node.net.limits import GUESSES_AT_ONCE, GUESSES_PER_S, RateLimit, Refusals
 from chachart.node.net.security import Role, SecuritySettings, Tokens, endpoint_exposure
@@ -54,7 +55,7 @@ class ControlSettings(SinkSettings):
             open_to_all = security.keys is None and not Tokens.of(security, self.token)
             if not found and open_to_all and not is_local(self.endpoint):
                 found.append(f'sink "control": a token must be set to listen on {self.endpoint} without keys')
-        return found
+        return found + key_problems(self.endpoint, security)
 
 
 class Control(Sink):
@@ -67,6 +68,7 @@ class Control(Sink):
         self.refused = Refusals("control")
         self._operations: Operations | None = None
         self._context: zmq.Context[zmq.Socket[bytes]] | None = None
+        self._doorkeeper: Doorkeeper | None = None
         self._socket: zmq.Socket[bytes] | None = None
         self._endpoint: str | None = None
 
@@ -95,6 +97,8 @@ class Control(Sink):
         self._socket.linger = 500
         self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_REQUEST_BYTES)
         try:
+            self._doorkeeper = Doorkeeper(self._context, self.security, self.refused, ("read", "steer"))
+            self._doorkeeper.guard(self._socket, self.settings.endpoint)
             self._endpoint = bind(self._socket, self.settings.endpoint, self.settings.spare_ports)
         except SetupError:
             self.close()
@@ -116,6 +120,9 @@ class Control(Sink):
 
     def close(self) -> None:
         """Let the socket go."""
+        if self._doorkeeper is not None:
+            self._doorkeeper.close()
+            self._doorkeeper = None
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -142,6 +149,9 @@ class Control(Sink):
         peer = str(frame.get("Peer-Address")) or "ipc"
         if not self._rate.take(peer):
             raise self._refusal("too_many_requests", "too many requests: wait a second")
+        if needs_keys(self.settings.endpoint, self.security):
+            right = str(frame.get("User-Id")).partition(":")[0]
+            return Role.STEERER if right == "steer" else Role.READER
         if token is not None and self._tokens:
             if self._guesses.wait_s(peer):
                 raise self._refusal("too_many_guesses", "too many wrong tokens: wait a few seconds")

@@ -14,7 +14,9 @@ from pydantic import Field
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.net.doorkeeper import Doorkeeper, key_problems
 from chachart.node.net.endpoints import Endpoint, bind, bind_problems, fixed
+from chachart.node.net.limits import Refusals
 from chachart.node.net.security import SecuritySettings, endpoint_exposure
 from chachart.node.net.wire import WireError, decode_csi
 from chachart.sources.base import Source, SourceSettings
@@ -47,7 +49,8 @@ class ZmqSettings(SourceSettings):
 
     def exposure(self, security: SecuritySettings) -> list[str]:
         """An endpoint that other machines reach needs keys."""
-        return endpoint_exposure('source "zmq"', self.endpoint, security)
+        mistakes = endpoint_exposure('source "zmq"', self.endpoint, security)
+        return mistakes + key_problems(self.endpoint, security)
 
 
 class ZmqSource(Source):
@@ -64,6 +67,8 @@ class ZmqSource(Source):
         super().__init__(settings, array)
         self.lossless = self.settings.lossless
         self._context: zmq.Context[zmq.Socket[bytes]] | None = None
+        self._doorkeeper: Doorkeeper | None = None
+        self._refused = Refusals("source zmq")
         self._endpoint = self.settings.endpoint
         self._numbering = Numbering()
         self._held: CsiBlock | None = None
@@ -86,6 +91,8 @@ class ZmqSource(Source):
         self._socket.rcvhwm = self.settings.queue_blocks
         self._socket.maxmsgsize = self.settings.max_message_bytes
         try:
+            self._doorkeeper = Doorkeeper(self._context, self.security, self._refused, ("send",))
+            self._doorkeeper.guard(self._socket, self.settings.endpoint)
             self._endpoint = bind(self._socket, self.settings.endpoint)
         except SetupError:
             self.close()
@@ -112,13 +119,21 @@ class ZmqSource(Source):
 
     def close(self) -> None:
         """Stop listening."""
+        if self._doorkeeper is not None:
+            self._doorkeeper.close()
+            self._doorkeeper = None
         if self._context is not None:
             self._context.destroy(linger=0)
             self._context = None
 
     def details(self) -> dict[str, Any]:
-        """Where producers connect, and how often one began to count anew."""
-        return {"endpoint": self._endpoint, "restarts": self._numbering.restarts}
+        """Where producers connect, how many there are, how often one began to count anew, who was refused."""
+        return {
+            "endpoint": self._endpoint,
+            "restarts": self._numbering.restarts,
+            "producers": 0 if self._doorkeeper is None else self._doorkeeper.connections,
+            "refused": self._refused.as_dict(),
+        }
 
     def _accept(self, parts: list[memoryview]) -> CsiBlock | None:
         try:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -24,10 +25,13 @@ import msgpack
 import zmq
 
 from chachart.node.commands.exporting.rows import Table, write_csv
+from chachart.node.commands.shared.cli import add_key_options
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.columns import COLUMNS
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.net.keys import connect_with
+from chachart.node.net.security import TOKEN_VARIABLE, SecuritySettings, Tokens
 
 ENDPOINT = "tcp://127.0.0.1:5557"
 
@@ -36,7 +40,8 @@ Reply = dict[str, Any]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line of `chachart ctl`; options may stand before or after the operation."""
-    _add_options(parser, endpoint=ENDPOINT, token=None, timeout=10.0, json=False)
+    nothing = dict.fromkeys(("token", "token_file", "key", "server_key"))
+    _add_options(parser, endpoint=ENDPOINT, timeout=10.0, json=False, **nothing)
     shared = argparse.ArgumentParser(add_help=False, argument_default=argparse.SUPPRESS)
     _add_options(shared)
     operations = parser.add_subparsers(metavar="OPERATION", required=True)
@@ -69,7 +74,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_options(parser: argparse.ArgumentParser, **defaults: Any) -> None:
     parser.add_argument("--endpoint", help=f"the node's control endpoint ({ENDPOINT})")
-    parser.add_argument("--token", help="the control sink's token, needed from another machine")
+    parser.add_argument("--token", help=f"the node's token; others see it here, not in ${TOKEN_VARIABLE} or")
+    parser.add_argument("--token-file", type=Path, metavar="FILE", help="a file that holds it (chmod 600)")
+    add_key_options(parser)
     parser.add_argument("--timeout", type=float, metavar="S", help="seconds to wait (10)")
     parser.add_argument("--json", action="store_true", help="print the node's answer as JSON")
     parser.set_defaults(**defaults)
@@ -87,7 +94,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise SetupError(f"{arguments.file}: a snapshot is a .csv or a .json file")
     names = ("op", "ue", "theta", "rho", "on", "path", "paused", "speed", "at_s", "token")
     request = {name: value for name in names if (value := getattr(arguments, name, None)) is not None}
-    reply = ask(arguments.endpoint, request, arguments.timeout)
+    request.setdefault("token", _token(arguments.token_file))
+    keys = arguments.key, arguments.server_key
+    reply = ask(arguments.endpoint, request, arguments.timeout, *keys)
     if arguments.json and "file" not in arguments:
         print(json.dumps(reply, indent=2))
     else:
@@ -95,8 +104,20 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def ask(endpoint: str, request: dict[str, Any], timeout: float) -> Reply:
-    """A control sink's answer to one request.
+def _token(path: Path | None) -> str | None:
+    if path is None:
+        return os.environ.get(TOKEN_VARIABLE)
+    return Tokens.of(SecuritySettings(token_file=path), from_environment=False).steer
+
+
+def ask(
+    endpoint: str,
+    request: dict[str, Any],
+    timeout: float,
+    key: Path | None = None,
+    server_key: Path | None = None,
+) -> Reply:
+    """A control sink's answer to one request; a key and the node's key where it wants one.
 
     Raises
     ------
@@ -105,6 +126,8 @@ def ask(endpoint: str, request: dict[str, Any], timeout: float) -> Reply:
     """
     with zmq.Context() as context, context.socket(zmq.REQ) as socket:
         socket.linger = 0
+        connect_with(socket, key, server_key)
+        socket.ipv6 = "[" in endpoint
         try:
             socket.connect(endpoint)
         except zmq.ZMQError as error:

@@ -23,6 +23,7 @@ COMMANDS = {
     "export": "turn a recording or a chart log into a file for other tools",
     "frontend": "be an array front-end on a serial line or a CAN bus, with faults on request",
     "import": "turn a capture of another tool into a recording",
+    "keys": "make and list the keys with which other machines reach a node",
     "info": "show what a recording holds",
     "plot": "draw charts, spectra, quality, errors and calibrations for papers",
     "reproduce": "reproduce the published tables and figures, as one HTML report",

@@ -24,6 +24,7 @@ from rich.style import Style
 from rich.text import Text
 
 from chachart.node.commands.shared.canvas import characters, fit, scatter
+from chachart.node.commands.shared.cli import add_key_options
 from chachart.node.commands.shared.keyboard import typed
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.columns import COLUMNS
@@ -58,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--keep", type=float, default=KEEP_S, metavar="S", help="UEs unheard for so long go (%(default)g)"
     )
+    add_key_options(parser)
     parser.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds")
     parser.add_argument("--json", action="store_true", help="print every chart message as a line of JSON")
 
@@ -71,7 +73,8 @@ def run(arguments: argparse.Namespace) -> int:
         If the endpoint is none.
     """
     end = None if arguments.duration is None else time.monotonic() + arguments.duration
-    with subscribe(arguments.endpoint, arguments.array) as charts:
+    keys = {"key": arguments.key, "server_key": arguments.server_key}
+    with subscribe(arguments.endpoint, arguments.array, **keys) as charts:
         watch = Watch(charts, arguments.ue, arguments.keep)
         if arguments.json:
             _print_json(charts, end)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -21,6 +22,7 @@ import zmq
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.counters import Counters
 from chachart.node.data.errors import SetupError
+from chachart.node.net.keys import connect_with
 from chachart.node.net.wire import WireError, decode_chart, decode_report
 
 ENDPOINT = "tcp://127.0.0.1:5556"
@@ -32,7 +34,13 @@ _KINDS = ("chart", "quality", "status")
 
 
 def subscribe(
-    endpoint: str = ENDPOINT, array: str | None = None, *, timeout: float | None = None, queue: int = 1000
+    endpoint: str = ENDPOINT,
+    array: str | None = None,
+    *,
+    timeout: float | None = None,
+    queue: int = 1000,
+    key: Path | str | None = None,
+    server_key: Path | str | None = None,
 ) -> Subscription:
     """Subscribe to the charts of a node.
 
@@ -46,13 +54,15 @@ def subscribe(
         Iterating raises TimeoutError when no chart came for so many seconds; None waits for ever.
     queue
         Messages that may wait here; beyond, they are lost, and `gap` and `lost` tell so.
+    key, server_key
+        Your `NAME.key_secret` and the node's `node.key`, for a node with keys.
 
     Raises
     ------
     SetupError
-        If `endpoint` is not a ZeroMQ endpoint.
+        If `endpoint` is not a ZeroMQ endpoint, or a key cannot be read.
     """
-    return Subscription(endpoint, array, timeout=timeout, queue=queue)
+    return Subscription(endpoint, array, timeout=timeout, queue=queue, key=key, server_key=server_key)
 
 
 class Subscription:
@@ -72,7 +82,16 @@ class Subscription:
         Messages that were not protocol 1, by reason.
     """
 
-    def __init__(self, endpoint: str, array: str | None, *, timeout: float | None, queue: int) -> None:
+    def __init__(
+        self,
+        endpoint: str,
+        array: str | None,
+        *,
+        timeout: float | None,
+        queue: int,
+        key: Path | str | None = None,
+        server_key: Path | str | None = None,
+    ) -> None:
         self.endpoint, self.array, self.timeout = endpoint, array, timeout
         self.gap = self.lost = self.restarts = 0
         self.quality: dict[str, Any] | None = None
@@ -94,7 +113,12 @@ class Subscription:
         for kind in _KINDS:
             self._socket.subscribe(f"{kind}.{array or ''}")
         try:
+            connect_with(self._socket, key, server_key)
+            self._socket.ipv6 = "[" in endpoint
             self._socket.connect(endpoint)
+        except SetupError:
+            self.close()
+            raise
         except zmq.ZMQError as error:
             self.close()
             hint = "it must look like tcp://127.0.0.1:5556"

@@ -62,6 +62,7 @@ def bind(socket: zmq.Socket[Any], endpoint: str, spare_ports: int = 0) -> str:
         raise SetupError(f"cannot listen on {endpoint}: a port is a number from 0 to 65535")
     if _ipc_in_use(endpoint):
         raise SetupError(f"cannot listen on {endpoint}: Address already in use")
+    socket.ipv6 = "[" in endpoint
     try:
         socket.bind(endpoint)
     except zmq.ZMQError as error:
@@ -82,6 +83,7 @@ def connect(socket: zmq.Socket[Any], endpoint: str) -> str:
     """
     if not _port_exists(endpoint):
         raise SetupError(f"cannot connect to {endpoint}: a port is a number from 1 to 65535")
+    socket.ipv6 = "[" in endpoint
     try:
         socket.connect(endpoint)
     except zmq.ZMQError as error:

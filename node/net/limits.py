@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -31,10 +32,12 @@ class Refusals(Counters):
         super().__init__()
         self._who = who
         self._tell_at: dict[str, float] = {}
+        self._lock = threading.Lock()
 
     def add(self, reason: str, n: int = 1) -> None:
         """Count `n` more for `reason`."""
-        super().add(reason, n)
+        with self._lock:
+            super().add(reason, n)
         now = time.monotonic()
         if n and now >= self._tell_at.get(reason, 0.0):
             self._tell_at[reason] = now + TELL_EVERY_S

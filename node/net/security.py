@@ -69,7 +69,7 @@ class Tokens:
     read: str | None = field(default=None, repr=False)
 
     @classmethod
-    def of(cls, settings: SecuritySettings, own: str | None = None) -> Self:
+    def of(cls, settings: SecuritySettings, own: str | None = None, *, from_environment: bool = True) -> Self:
         """The tokens that `settings` name; `own` is a sink's own steering token, which goes before.
 
         Raises
@@ -77,8 +77,17 @@ class Tokens:
         SetupError
             If a file cannot be read, others may read it, or a token is too short or given twice.
         """
-        steer = own or _token("token", settings.token, settings.token_file, TOKEN_VARIABLE)
-        read = _token("read_token", settings.read_token, settings.read_token_file, READ_TOKEN_VARIABLE)
+        environment = os.environ if from_environment else {}
+        steer = own or _token(
+            "token", settings.token, settings.token_file, TOKEN_VARIABLE, environment.get(TOKEN_VARIABLE)
+        )
+        read = _token(
+            "read_token",
+            settings.read_token,
+            settings.read_token_file,
+            READ_TOKEN_VARIABLE,
+            environment.get(READ_TOKEN_VARIABLE),
+        )
         if steer is not None and steer == read:
             raise SetupError("[security]: the reading token must not be the steering token")
         return cls(steer, read)
@@ -131,8 +140,9 @@ def endpoint_exposure(who: str, endpoint: str, security: SecuritySettings) -> li
     ]
 
 
-def _token(name: str, value: str | None, path: Path | None, variable: str) -> str | None:
-    from_environment = os.environ.get(variable)
+def _token(
+    name: str, value: str | None, path: Path | None, variable: str, from_environment: str | None
+) -> str | None:
     given = [text for text in (value, path, from_environment) if text is not None]
     if len(given) > 1:
         raise SetupError(f"[security]: {name} is given twice: set one of {name}, {name}_file and ${variable}")

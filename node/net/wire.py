@@ -83,10 +83,27 @@ def chart_topic(array: str) -> bytes:
     return b"chart." + array.encode()
 
 
+ROWS_AT_ONCE = 4096
+"""So many rows are packed without letting other threads have the interpreter."""
+
+
 def encode_chart(update: ChartUpdate, seq: int) -> bytes:
     """The msgpack body of a chart message; plain lists, so that any language reads it."""
-    columns = {name: values.tolist() for name, values in update.columns.items()}
-    return bytes(msgpack.packb({**chart_body(update, seq), **columns}))
+    body = chart_body(update, seq)
+    if len(update) <= ROWS_AT_ONCE:
+        columns = {name: values.tolist() for name, values in update.columns.items()}
+        return bytes(msgpack.packb({**body, **columns}))
+    packer = msgpack.Packer()
+    pieces = [packer.pack_map_header(len(body) + len(update.columns))]
+    for name, value in body.items():
+        pieces += [packer.pack(name), packer.pack(value)]
+    for name, values in update.columns.items():
+        pieces += [packer.pack(name), packer.pack_array_header(len(values))]
+        for start in range(0, len(values), ROWS_AT_ONCE):
+            part = values[start : start + ROWS_AT_ONCE]
+            header = len(packer.pack_array_header(len(part)))
+            pieces.append(packer.pack(part.tolist())[header:])
+    return b"".join(pieces)
 
 
 def chart_body(update: ChartUpdate, seq: int) -> dict[str, Any]:

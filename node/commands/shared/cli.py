@@ -42,6 +42,12 @@ class Parser(argparse.ArgumentParser):
         self.usage = f"%(prog)s [OPTIONS]{words}"
 
 
+def add_key_options(parser: argparse.ArgumentParser) -> None:
+    """`--key` and `--server-key`, for nodes that want one."""
+    parser.add_argument("--key", type=Path, metavar="FILE", help="your NAME.key_secret, for a node with keys")
+    parser.add_argument("--server-key", type=Path, metavar="FILE", help="that node's node.key")
+
+
 def completed_words() -> list[str] | None:
     """The words before the one that a shell wants completed; None where no shell asks."""
     line = os.environ.get("COMP_LINE") if "_ARGCOMPLETE" in os.environ else None
