@@ -18,6 +18,8 @@ BENCHMARKS = {
     "pipeline": "a whole node: frames a second, latency, processor time, memory",
     "quality": "trustworthiness and continuity, exact and sampled, beside scikit-learn",
     "frontends": "packet decoders, and whole serial and CAN links, with damage and without",
+    "formats": "captures of Wi-Fi tools: read and decoded, megabytes a second",
+    "damage": "mutated captures of every format: frames or a clean error, whatever the bytes",
     "flow": "recordings, the wire and the sinks by themselves",
     "scale": "more UEs, antennas and subcarriers: time a frame and memory",
     "soak": "hours of running: how memory, open files and threads grow",

@@ -18,6 +18,7 @@ NAME = "NumPy .npy"
 _READERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
+    (3, 0): np.lib.format.read_array_header_2_0,
 }
 DAMAGE = (ValueError, EOFError, OSError, SyntaxError, TokenError)
 """What numpy raises for bytes that are no array."""
@@ -54,7 +55,9 @@ def read_header(stream: BinaryIO, size: int) -> Variable:
         allocates it.
     """
     version = np.lib.format.read_magic(stream)
-    shape, _, dtype = _READERS[min(version, (2, 0))](stream)
+    if version not in _READERS:
+        raise ValueError(f"version {version[0]}.{version[1]} of the header is not known")
+    shape, _, dtype = _READERS[version](stream)
     held = size - stream.tell()
     if not dtype.hasobject and math.prod(shape) * dtype.itemsize != held:
         raise ValueError(f"the header says {dtype} {shape}, but the array holds {held} bytes")

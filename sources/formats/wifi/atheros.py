@@ -30,7 +30,7 @@ _TONES = {56: 20, 114: 40}
 _SENDER = slice(10, 16)
 _TRIED = 3
 """So many records decide which way the file is written."""
-_BLOCK = 4096
+_BLOCK = 256
 
 
 class _Way(NamedTuple):

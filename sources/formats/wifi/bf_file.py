@@ -24,6 +24,8 @@ CELLS = "MATLAB .mat of read_bf_file"
 _CELL, _STRUCT = 1, 2
 _GROUPS = 30
 _HT40 = 0x800
+_MOST = 1e6
+"""CSI of 8 bits is far smaller."""
 _MOST_FIELDS = 64
 
 Frame = dict[str, NDArray[Any]]
@@ -76,7 +78,7 @@ def read_cells(data: NDArray[np.uint8]) -> Log:
 def _columns(frames: list[Frame]) -> dict[str, NDArray[Any]]:
     rssi = np.array([[_number(f, f"rssi_{letter}") for letter in "abc"] for f in frames])
     agc = np.array([_number(f, "agc") for f in frames])
-    power = np.where(rssi > 0, 10 ** (rssi / 10), 0.0).sum(axis=1)
+    power = np.where(rssi > 0, 10 ** (np.minimum(rssi, 127) / 10), 0.0).sum(axis=1)
     with np.errstate(divide="ignore"):
         total = 10 * np.log10(power) - 44 - agc
     return {
@@ -93,7 +95,7 @@ def _parsed(frame: Frame) -> tuple[Kind, NDArray[Any]] | None:
     csi = frame["csi"]
     if csi.ndim == 2 and csi.shape[1] == _GROUPS:
         csi = csi[None]
-    if csi.ndim != 3 or csi.shape[2] != _GROUPS or not np.isfinite(csi).all() or 0 in csi.shape:
+    if csi.ndim != 3 or csi.shape[2] != _GROUPS or 0 in csi.shape or not np.abs(csi).max() < _MOST:
         return None
     sent, antennas, _ = csi.shape
     if antennas > 3 or sent > 4:
@@ -112,10 +114,10 @@ def _parsed(frame: Frame) -> tuple[Kind, NDArray[Any]] | None:
 
 
 def _number(frame: Frame, name: str) -> float:
-    """A field's first number within what 32 bits hold, 0 where there is none."""
+    """A field's first number, 0 where there is none that makes sense: the clock has 32 bits, others fewer."""
     values = np.ravel(frame.get(name, np.zeros(1)))
     value = float(values[0].real) if len(values) else 0.0
-    return value if abs(value) < 1 << 32 else 0.0
+    return value if abs(value) < (1 << 32 if name == "timestamp_low" else 1 << 15) else 0.0
 
 
 def _frames(data: bytes) -> Iterator[Frame]:

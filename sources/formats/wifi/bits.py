@@ -42,7 +42,7 @@ def imaginary_first_of_10(rows: NDArray[np.uint8], count: int) -> NDArray[np.com
     padded = np.zeros((frames, 5 * fives + 3), np.uint8)
     padded[:, : 5 * fives] = rows[:, : 5 * fives]
     first = padded[:, :8].view("<u8")
-    packed = np.lib.stride_tricks.as_strided(first, (frames, fives), (padded.strides[0], 5))
+    packed = np.lib.stride_tricks.as_strided(first, (frames, fives), (padded.strides[0], 5)).copy()
     numbers = np.empty((frames, fives, 4), np.float32)
     for n in range(4):
         numbers[..., n ^ 1] = (packed << np.uint64(54 - 10 * n)).view(np.int64) >> 54

@@ -197,7 +197,7 @@ def _parsed(line: bytes, dialects: dict[int, tuple[str, ...]]) -> _Line | None:
     if not numbers or columns is None or len(numbers) % 2 or len(numbers) > _MOST:
         return None
     try:
-        values = np.array(numbers, np.int64)
+        values = np.array([int(word) for word in numbers], np.int64)
         row = dict(zip(columns, words, strict=False))
         told = _number(row, "len")
     except (ValueError, OverflowError):

@@ -1,4 +1,4 @@
-"""Files of records, each with its length in front: where they are, with runs of equal ones found at once."""
+"""Files of records, each with its length in front: where they are, with runs of like ones found at once."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _RUN = 8
-"""After so many records of one length a longer run is looked for."""
+"""After so many records of one length, or of two that take turns, a longer run is looked for."""
 
 
 class Head(NamedTuple):
@@ -62,13 +62,13 @@ def walk(
     """
     view = np.ascontiguousarray(data).data
     number = struct.Struct((">" if head.big_endian else "<") + {2: "H", 4: "I"}[head.bytes]).unpack_from
-    size, prefix, low, high = len(data), head.size, head.at, head.at + head.bytes
+    size, prefix, low = len(data), head.size, head.at
     least, most, extra = head.least, head.most, head.extra
     starts: list[int] = []
     lengths: list[int] = []
     runs: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
     good: NDArray[np.int64] | None = None
-    cut, broken, same, last = False, 0, 0, -1
+    cut, broken, same, last, before = False, 0, 0, -1, -1
     while at + prefix <= size:
         length = number(view, at + low)[0] + extra
         start = at + prefix
@@ -86,36 +86,45 @@ def walk(
         starts.append(start)
         lengths.append(length)
         at = start + length
-        if length != last:
-            same, last = 0, length
-            continue
-        same += 1
-        if same >= _RUN:
-            count = _run(data, at, low, high, length + prefix)
-            if count:
-                runs.append((np.array(starts, np.int64), np.array(lengths, np.int64)))
-                more = at + prefix + np.arange(count, dtype=np.int64) * (length + prefix)
-                runs.append((more, np.full(count, length, np.int64)))
-                starts, lengths = [], []
-                at += count * (length + prefix)
+        if length != before:
             same = 0
+        else:
+            same += 1
+        before, last = last, length
+        if same >= _RUN:
+            same = 0
+            count = _run(data, at, head, (before, last))
+            if count:
+                step = before + last + 2 * prefix
+                first = at + prefix + np.arange(count, dtype=np.int64) * step
+                runs.append((np.array(starts, np.int64), np.array(lengths, np.int64)))
+                pairs = np.column_stack([first, first + before + prefix]).ravel()
+                runs.append((pairs, np.tile(np.array([before, last], np.int64), count)))
+                starts, lengths = [], []
+                at += count * step
     if at < size:
         cut = cut or bool(data[at:].any())
     runs.append((np.array(starts, np.int64), np.array(lengths, np.int64)))
     return Walk(np.concatenate([r[0] for r in runs]), np.concatenate([r[1] for r in runs]), cut, broken)
 
 
-def _run(data: NDArray[np.uint8], at: int, low: int, high: int, step: int) -> int:
-    """How many records from `at` on have the length of the one before it."""
+def _run(data: NDArray[np.uint8], at: int, head: Head, pair: tuple[int, int]) -> int:
+    """How many pairs of records from `at` on have these two lengths, one after the other."""
+    low, high = head.at, head.at + head.bytes
+    second = head.size + pair[0]
+    step = second + head.size + pair[1]
     count = (len(data) - at) // step
+    # The two records before have these lengths.
+    first_told = data[at - step + low : at - step + high]
+    second_told = data[at - step + second + low : at - step + second + high]
     found, tried = 0, 64
-    before = data[at - step + low : at - step + high]
     while found < count:
         tried = min(tried, count - found)
-        block = data[at + found * step : at + (found + tried) * step].reshape(tried, step)[:, low:high]
-        other = np.flatnonzero((block != before).any(axis=1))
-        if len(other):
-            return found + int(other[0])
+        block = data[at + found * step : at + (found + tried) * step].reshape(tried, step)
+        same = (block[:, low:high] == first_told).all(axis=1)
+        same &= (block[:, second + low : second + high] == second_told).all(axis=1)
+        if not same.all():
+            return found + int(np.argmin(same))
         found, tried = found + tried, tried * 4
     return found
 

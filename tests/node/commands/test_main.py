@@ -47,10 +47,10 @@ def test_usage_errors_exit_2(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_usage_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert usage_error("import", "a.npz") == 2
     [line] = capsys.readouterr().err.splitlines()
-    assert line.startswith("chachart import: the following arguments are required: OUT.mcap, --csi")
+    assert line.startswith("chachart import: the following arguments are required: OUT.mcap")
     assert usage_error("import", "--help") == 0
     usage = capsys.readouterr().out.partition("\n\n")[0]
-    assert usage.startswith("usage: chachart import [OPTIONS] --csi NAME")
+    assert usage.startswith("usage: chachart import [OPTIONS] IN")
     assert len(usage.splitlines()) == 1
 
 

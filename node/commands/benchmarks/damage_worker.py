@@ -1,0 +1,108 @@
+"""The process that reads mutated captures: `python -m ... TASK`, a line of JSON for every hundred files."""
+
+from __future__ import annotations
+
+import json
+import resource
+import signal
+import sys
+import tempfile
+import warnings
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+
+from chachart.node.commands.benchmarks import captures
+from chachart.node.data.errors import SetupError
+from chachart.sources.formats import open_capture
+
+REPORT_EVERY = 100
+SAMPLE_FRAMES = 6
+HEAD_BYTES = 256
+"""Half of the mutations hit a file's beginning, where most of its structure stands."""
+_TELLING = (0, 1, 0x7F, 0x80, 0xFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
+
+
+class TooLong(BaseException):
+    """A file took longer than it may; no reader catches this."""
+
+
+def mutated(data: bytes, rng: np.random.Generator) -> bytes:
+    """`data` with one to four mutations: bits and words changed, pieces cut, doubled, zeroed, inserted."""
+    found = bytearray(data)
+    for _ in range(int(rng.integers(1, 5))):
+        size = len(found)
+        if not size:
+            break
+        at = int(rng.integers(min(size, HEAD_BYTES) if rng.random() < 0.5 else size))
+        length = min(size - at, int(rng.integers(1, 65)))
+        match int(rng.integers(8)):
+            case 0:
+                found[at] ^= 1 << int(rng.integers(8))
+            case 1:
+                found[at] = int(rng.integers(256))
+            case 2:
+                width = 1 << int(rng.integers(4))
+                value = _TELLING[int(rng.integers(len(_TELLING)))] & ((1 << 8 * width) - 1)
+                found[at : at + width] = value.to_bytes(width, "little" if rng.random() < 0.5 else "big")
+            case 3:
+                del found[at:]
+            case 4:
+                del found[at : at + length]
+            case 5:
+                found[at:at] = found[at : at + length]
+            case 6:
+                found[at : at + length] = bytes(length)
+            case 7:
+                found[at:at] = rng.bytes(length)
+    return bytes(found)
+
+
+def read(path: Path) -> bool:
+    """Whether a file could be opened and everything in it read."""
+    try:
+        capture = open_capture(path)
+        for name in capture.variables:
+            capture.read(name)
+    except SetupError as error:
+        if not str(error) or "\n" in str(error).strip():
+            raise RuntimeError(f"not one clear line: {error!r}") from None
+        return False
+    return True
+
+
+def main() -> None:
+    """Read the files of the task in the first argument."""
+    task = json.loads(sys.argv[1])
+    limit = task["memory_mb"] << 20
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    warnings.simplefilter("error", RuntimeWarning)
+
+    def late(number: int, frame: FrameType | None) -> None:
+        raise TooLong(f"longer than {task['seconds']} s")
+
+    signal.signal(signal.SIGALRM, late)
+    samples = [captures.made(task["format"], SAMPLE_FRAMES, np.random.default_rng(n)) for n in range(3)]
+    samples += [Path(path).read_bytes() for path in task["samples"]]
+    counts = {"read": 0, "refused": 0}
+    with tempfile.TemporaryDirectory(prefix="chachart-damage-", dir=_memory()) as folder:
+        path = Path(folder) / "capture"
+        for n in range(task["first"], task["first"] + task["files"]):
+            rng = np.random.default_rng([task["seed"], n])
+            path.write_bytes(mutated(samples[n % len(samples)], rng))
+            signal.setitimer(signal.ITIMER_REAL, task["seconds"])
+            counts["read" if read(path) else "refused"] += 1
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            if (n + 1) % REPORT_EVERY == 0 or n + 1 == task["first"] + task["files"]:
+                print(json.dumps({**counts, "next": n + 1}), flush=True)
+
+
+def _memory() -> str | None:
+    """A folder in memory, where there is one."""
+    return "/dev/shm" if Path("/dev/shm").is_dir() else None
+
+
+if __name__ == "__main__":
+    main()
