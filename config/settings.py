@@ -16,6 +16,7 @@ from chachart.node.data.settings import Means, Settings
 from chachart.node.files.array_files import ArrayFile, read_array_file
 from chachart.node.files.calibration import load_calibration
 
+TIME_TOLERANCE_S = 60.0
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _SHAPES = ("rows", "columns", "radius_m", "elements", "file")
 Direction = Literal["x", "y", "z", "-x", "-y", "-z"] | Vector
@@ -78,6 +79,8 @@ class ArraySettings(Settings):
     """Propagation speed; some published scenarios use 3e8."""
     antenna_order: tuple[int, ...] | None = Field(None, examples=[(1, 0)])
     """For each element in turn, the number that its antenna has in the frames; not set: the same."""
+    time_tolerance_s: float = Field(TIME_TOLERANCE_S, gt=0)
+    """A live frame whose time is further from this host's gets the host's, and counts as `restamped`."""
     calibration: Path | None = None
     """A file of `chachart calibrate`, undone in every frame; it has an antenna order of its own."""
 

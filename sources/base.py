@@ -51,6 +51,8 @@ class Source(ABC):
         wait (an array); when the node is too slow the oldest waiting block is dropped and counted.
     rejected
         What came in and was no usable frame, counted by reason.
+    complaint
+        What was wrong with the last of it, in words for people; None where nothing was.
     security
         `[security]`; whoever runs the source sets it before `open`.
     """
@@ -63,6 +65,7 @@ class Source(ABC):
         self.settings = settings
         self.array = array
         self.rejected = Counters()
+        self.complaint: str | None = None
 
     @classmethod
     def carried_array(cls, settings: Any) -> ArrayGeometry | None:

@@ -6,6 +6,12 @@ import numpy as np
 
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
+from chachart.node.data.geometry import ArrayGeometry
+
+
+def misfit(came: tuple[int, int], array: ArrayGeometry) -> str:
+    """In words, that frames of (antennas, subcarriers) are not those of the array."""
+    return f"{came[0]} x {came[1]} came, the array is {array.antennas} x {array.subcarriers}"
 
 
 def usable(block: CsiBlock, rejected: Counters) -> CsiBlock | None:

@@ -150,6 +150,7 @@ def _show_status(status: Reply, _: argparse.Namespace) -> None:
     latency = status["latency_ms"]
     lines = {
         "state": f"{status['state']} for {status['seconds']:.0f} s",
+        **{name: status[key] for name, key in (("why", "reason"), ("fix", "fix")) if status[key]},
         "method": f"theta {status['method']['theta']}, rho {status['method']['rho']}",
         "frames": f"{status['frames_in']} in, {status['frames_estimated']} estimated, "
         f"{status['backlog_frames']} waiting, {status['frames_estimated_per_s']:.0f} per s",

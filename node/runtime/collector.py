@@ -6,14 +6,19 @@ import time
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.estimation.options import Options
 from chachart.node.runtime.latency import Latency
+from chachart.node.runtime.plan import Plan
 from chachart.node.runtime.processor import FrameClock
 from chachart.node.runtime.sink_thread import SinkThread
 from chachart.node.runtime.table import ChartTable
+from chachart.sinks.base import NodeAccess
 
 LATENCY_WINDOW_S = 5.0
+SINK_QUEUE = 512
 
 
 class Collector:
@@ -25,6 +30,8 @@ class Collector:
         The chart as it stands.
     sinks
         Everybody who wants updates.
+    has_truth
+        Whether a known position has been seen.
     latency
         Over the whole run.
     """
@@ -34,14 +41,33 @@ class Collector:
         self.sinks: list[SinkThread] = []
         self.latency = Latency()
         self.clock = FrameClock(live=False)
+        self.has_truth = False
         self._forget_after_ns = int((estimator.forget_after_s or 0) * 1e9)
         self._window = Latency()
         self._window_ends = 0.0
         self._recent_ms = self._window.percentiles_ms()
 
+    def open_sinks(self, plan: Plan, node: NodeAccess) -> None:
+        """Open all sinks that take charts.
+
+        Raises
+        ------
+        SetupError
+            If one of them cannot be opened.
+        """
+        for sink_class, settings in plan.sinks:
+            if not sink_class.wants_csi:
+                made = sink_class(settings, plan.array)
+                made.security = plan.security
+                sink = SinkThread(made, settings.type, SINK_QUEUE)
+                sink.open(node)
+                self.sinks.append(sink)
+
     def take(self, update: ChartUpdate, arrivals: Iterable[tuple[float, int]]) -> None:
         """An update, and when the frames behind it came in: (monotonic seconds, frames)."""
         self.table.update(update)
+        truth = update.columns.get("position")
+        self.has_truth = self.has_truth or (truth is not None and bool(np.isfinite(truth).any()))
         self.clock.see(int(update.time_ns.max()))
         for sink in self.sinks:
             sink.put(update)

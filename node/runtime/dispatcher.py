@@ -18,11 +18,11 @@ import zmq
 from chachart.node.runtime import messages
 from chachart.node.runtime.child import load_class
 from chachart.node.runtime.csi_sinks import CsiSinks
-from chachart.node.runtime.deadlines import Deadlines
 from chachart.node.runtime.feeder_requests import FeederRequests, Terms
+from chachart.node.runtime.hung_workers import HungWorkers
 from chachart.node.runtime.partition import Partitioner
 from chachart.node.runtime.progress import Applied, Mark, highest
-from chachart.node.runtime.reader import Reader, Tally
+from chachart.node.runtime.reader import ORDER, Reader, Tally
 from chachart.node.runtime.shard_queue import ShardQueue
 from chachart.node.runtime.shard_queues import ShardQueues
 from chachart.node.runtime.snapshot_schedule import SnapshotKeeper
@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 
 STATUS_EVERY_S = 0.25
 LAST_SNAPSHOT_S = 5.0
-NOTHING_COUNTED = {"frames_in": 0, "blocks_in": 0, "rejected": {}, "gaps": 0, "out_of_order": 0}
+NOTHING_COUNTED: dict[str, Any] = {"frames_in": 0, "blocks_in": 0, "rejected": {}, **dict.fromkeys(ORDER, 0)}
 
 
 class StartOver(Exception):
@@ -66,9 +66,9 @@ class Dispatcher:
             self._wake,
         )
         partitioner = Partitioner(count, workers["block_frames"], workers["linger_ms"] / 1e3)
-        self._reader = Reader(source, partitioner, self._queues, Tally(Path(settings["tally"])))
+        tally = Tally(Path(settings["tally"]))
+        self._reader = Reader(source, partitioner, self._queues, tally, settings["time_tolerance_s"])
         self._csi_sinks = CsiSinks(self._reader, source.array, source.lossless)
-        self._deadlines = Deadlines()
         self._hellos: list[dict[str, Any]] = [{} for _ in range(count)]
         self._terms = Terms((settings["estimator"]["theta"], settings["estimator"]["rho"]))
         self._go = False
@@ -80,6 +80,7 @@ class Dispatcher:
         router.bind(settings["sockets"]["workers"])
         self._commands.bind(settings["sockets"]["commands"])
         self._links = WorkerLinks(router, count)
+        self._hung = HungWorkers(self._links, self._queues)
         self._snapshots = SnapshotKeeper(self._queues, self._links, state["every_s"])
         self._requests = FeederRequests(
             self._terms,
@@ -182,6 +183,7 @@ class Dispatcher:
         if handover.lost:
             self._cannot_be_exact(shard, handover.lost)
         self._hellos[shard] = values
+        self._hung.worker_up(shard)
         self._snapshots.worker_up(shard, Mark(**values["mark"]))
         self._links.peers[shard] = Peer(values["identity"], values["pid"], time.monotonic(), {"ues": ues})
         answer = {
@@ -231,15 +233,9 @@ class Dispatcher:
             self._pass()
 
     def _look_for_hung(self, now: float) -> None:
-        for shard, peer in enumerate(self._links.peers):
-            if peer is None:
-                continue
-            with self._queues.shard(shard) as queue:
-                oldest, typical_s = queue.oldest_sent_at(), queue.typical_s
-            if (reason := self._deadlines.missed(now, peer.heard_at, oldest, typical_s)) is not None:
-                log.error("worker %d (process %d) hangs: %s", shard, peer.pid, reason)
-                self._tell(messages.HUNG, {"shard": shard, "pid": peer.pid})
-                self._worker_lost(shard)
+        for shard, pid in self._hung.look(now):
+            self._tell(messages.HUNG, {"shard": shard, "pid": pid})
+            self._worker_lost(shard)
 
     def _obey(self) -> None:
         while True:
@@ -318,8 +314,11 @@ class Dispatcher:
                 **({} if peer is None else {"pid": peer.pid, **peer.status}),
                 **shard,
                 "snapshot_error": error,
+                "stuck": stuck,
             }
-            for peer, shard, error in zip(self._links.peers, shards, self._snapshots.errors, strict=True)
+            for peer, shard, error, stuck in zip(
+                self._links.peers, shards, self._snapshots.errors, self._hung.reasons, strict=True
+            )
         ]
         return {
             "method": dict(zip(("theta", "rho"), self._terms.method, strict=True)),
@@ -331,6 +330,7 @@ class Dispatcher:
             "csi_sinks": self._csi_sinks.status(),
             "recording": self._csi_sinks.recording(),
             "failure": self._reader.failure,
+            "complaint": self._source.complaint or self._reader.complaint,
             "ended": self._reader.ended,
             "reader_silent_s": time.monotonic() - self._reader.stirred if self._started else 0.0,
             **self._reader.status(),

@@ -28,6 +28,7 @@ _COUNTS = (
     "rejected",
     "gaps",
     "out_of_order",
+    "restamped",
 )
 _PER_LIFE = ("state_lost", "ues_reset", "frames_replayed")
 """Counts of workers that a feeder begins anew."""
@@ -96,6 +97,20 @@ class FeederProcess:
             self.started = False
             child.kill()
         return self.supervised.check()
+
+    @property
+    def pid(self) -> int | None:
+        """Its process id, None while there is none that reads."""
+        child = self.supervised.child
+        return None if child is None or not self.ready else child.pid
+
+    @property
+    def stuck(self) -> str | None:
+        """Why it seems to hang, or None."""
+        silent = time.monotonic() - self._heard_at
+        if not self.started or silent <= LEAST_S:
+            return None
+        return f"the feeder process has not been heard of for {silent:.0f} s"
 
     def total(self, count: str) -> int:
         """A count over all workers and all feeders of this run."""

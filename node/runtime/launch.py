@@ -58,6 +58,7 @@ class Launcher:
             "estimator": method,
             "state": plan.state.model_dump(mode="json"),
             "counted": counted,
+            "time_tolerance_s": plan.time_tolerance_s,
             "tally": str(self.tally),
             "csi_sinks": [
                 {"class": class_path(sink), "settings": settings.model_dump(mode="json")}

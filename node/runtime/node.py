@@ -18,11 +18,12 @@ from chachart.node.runtime.feeder_process import FeederProcess
 from chachart.node.runtime.launch import Launcher
 from chachart.node.runtime.links import Links
 from chachart.node.runtime.node_state import NodeState
+from chachart.node.runtime.notify import Notifier
+from chachart.node.runtime.panel import words
 from chachart.node.runtime.plan import Plan
 from chachart.node.runtime.quality_watch import QualityWatch
 from chachart.node.runtime.report import Reporter
 from chachart.node.runtime.requests import PendingRequests, chart_columns, checked_method, ue_list
-from chachart.node.runtime.sink_thread import SinkThread
 from chachart.node.runtime.status import NodeStatus, summary
 from chachart.node.runtime.supervisor import SupervisedChild, Supervisor
 
@@ -32,7 +33,6 @@ DRAIN_WITHIN_S = 10.0
 START_WITHIN_S = 60.0
 LOOP_S = 0.05
 STATUS_EVERY_S = 0.5
-SINK_QUEUE = 512
 CLOSE_WITHIN_S = 5.0
 WORKERS_CLOSE_WITHIN_S = 2.0
 
@@ -77,6 +77,7 @@ class Node:
         self._reporter = Reporter(plan, self._collector, self._feeder, self._workers, self._quality)
         self._method: dict[str, str] = {"theta": plan.estimator.theta, "rho": plan.estimator.rho}
         self._state = "starting"
+        self._notifier = Notifier()
         self._status: dict[str, Any] = NodeStatus(array=plan.array.name).as_dict()
         self._started_at: float | None = None
         self._seconds = self._earlier_s = 0.0
@@ -99,13 +100,7 @@ class Node:
             self._resume()
             self._feeder.check()
             self._workers.check()
-            for sink_class, settings in self._plan.sinks:
-                if not sink_class.wants_csi:
-                    made = sink_class(settings, self._plan.array)
-                    made.security = self._plan.security
-                    sink = SinkThread(made, settings.type, SINK_QUEUE)
-                    sink.open(self)
-                    self._collector.sinks.append(sink)
+            self._collector.open_sinks(self._plan, self)
             self._thread.start()
             if not self._ready.wait(START_WITHIN_S):
                 source = self._plan.source_settings.type
@@ -125,6 +120,7 @@ class Node:
         """Read no further and drain; what is left after `within_s` seconds is dropped and counted."""
         if self._give_up_at is None:
             self._state = "draining"
+            self._notifier.stopping()
             self._give_up_at = time.monotonic() + within_s + CLOSE_WITHIN_S
             self._links.command(messages.STOP, {"within_s": within_s})
 
@@ -135,8 +131,7 @@ class Node:
     @property
     def feeder_pid(self) -> int | None:
         """Process id of the feeder."""
-        child = self._feeder.supervised.child
-        return None if child is None else child.pid
+        return self._feeder.pid
 
     def addresses(self) -> list[tuple[str, str]]:
         """Where a person finds what the chart's sinks give, by sink."""
@@ -219,6 +214,7 @@ class Node:
                 self._collector.tick()
                 self._update_status()
                 self._collector.report("status", self._status)
+                self._notifier.alive(words(self._status))
 
     def _handle(self, kind: bytes, values: dict[str, Any], rest: list[bytes]) -> None:
         self._feeder.heard()
@@ -240,6 +236,7 @@ class Node:
             self._started_at = self._started_at or time.monotonic()
             self._state = "running" if self._give_up_at is None else self._state
             log.info("frames are read")
+            self._notifier.ready()
         elif kind == messages.SETUP_ERROR:
             self._setup_failed(values["message"])
         elif kind == messages.DRAINED:
@@ -332,7 +329,7 @@ class Node:
         return self._seconds or self._earlier_s + time.monotonic() - self._started_at
 
     def _update_status(self) -> None:
-        self._status = self._reporter.report(self._state, self._method, self._run_time())
+        self._status = self._reporter.report(self._state, self._method, self._run_time(), self._kept.error)
 
     def _close_parts(self) -> None:
         for sink in self._collector.sinks:

@@ -9,7 +9,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-_STATE_STYLE = {"running": "green", "starting": "yellow", "draining": "yellow", "stopped": "dim"}
+_STATE_STYLE = {"running": "green", "degraded": "red", "stopped": "dim"}
 
 
 def panel(status: dict[str, Any], width: int = 120) -> Panel:
@@ -31,6 +31,8 @@ def panel(status: dict[str, Any], width: int = 120) -> Panel:
     ]
     figures = _grid([Text.assemble((f"{name} ", "dim"), (value, "bold")) for name, value in cells], width - 4)
     parts: list[RenderableType] = [figures, Text()]
+    if status["reason"]:
+        parts += [Text(words(status), "red"), Text()]
     parts += [_worker(worker) for worker in status["workers"]]
     parts += [
         Text.assemble((f"{sink['name']} ", "dim"), sink["where"], _lost(sink))
@@ -40,7 +42,7 @@ def panel(status: dict[str, Any], width: int = 120) -> Panel:
     method = status["method"]
     title = Text.assemble(
         f" {status['array']} · ",
-        (status["state"], _STATE_STYLE.get(status["state"], "")),
+        (status["state"], _STATE_STYLE.get(status["state"], "yellow")),
         f" · {method.get('theta')}/{method.get('rho')} · {status['seconds']:.0f} s ",
     )
     return Panel(Group(*parts), title=title, subtitle=" Ctrl-C drains and ends ", title_align="left")
@@ -64,12 +66,22 @@ def line(status: dict[str, Any]) -> str:
     """A status report as one line for a log."""
     latency, quality = status["latency_ms"], status["quality"] or {}
     return (
-        f"{status['state']}: {status['frames_in_per_s']:.0f} frames/s in, "
+        f"{words(status)}: {status['frames_in_per_s']:.0f} frames/s in, "
         f"{status['frames_estimated_per_s']:.0f} estimated/s, {status['ues']} UEs, "
         f"backlog {status['backlog_frames']}, dropped {counts(status['dropped'])}, "
         f"latency p50 {_ms(latency.get('p50'))} p99 {_ms(latency.get('p99'))}, "
         f"TW {_figure(quality.get('tw'))} CT {_figure(quality.get('ct'))}"
     )
+
+
+def words(status: dict[str, Any]) -> str:
+    """How the node is, why, and what would help.
+
+    >>> words({"state": "degraded", "reason": "no frames for 7 s", "fix": "is the front-end on?"})
+    'degraded (no frames for 7 s; is the front-end on?)'
+    """
+    why = "; ".join(text for text in (status["reason"], status["fix"]) if text)
+    return f"{status['state']} ({why})" if why else str(status["state"])
 
 
 def summary_lines(summary: dict[str, Any]) -> list[str]:

@@ -10,7 +10,13 @@ from typing import Any
 
 from chachart.config.load import NodeSettings
 from chachart.config.registry import sink_class, source_class
-from chachart.config.settings import ArraySettings, QualitySettings, StateSettings, WorkersSettings
+from chachart.config.settings import (
+    TIME_TOLERANCE_S,
+    ArraySettings,
+    QualitySettings,
+    StateSettings,
+    WorkersSettings,
+)
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
@@ -18,6 +24,8 @@ from chachart.node.estimation.options import Options
 from chachart.node.net.security import SecuritySettings, security_problems
 from chachart.sinks.base import Sink, SinkSettings
 from chachart.sources.base import Source, SourceSettings
+
+BLOCK_BYTES = 32 * 1024 * 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +40,8 @@ class Plan:
         Classes with their settings.
     estimator, workers, quality, state, security
         The other sections of the configuration.
+    time_tolerance_s
+        How far the time of a live frame may be from this host's.
     """
 
     array: ArrayGeometry
@@ -43,6 +53,7 @@ class Plan:
     state: StateSettings
     sinks: tuple[tuple[type[Sink], SinkSettings], ...]
     security: SecuritySettings = field(default_factory=SecuritySettings)
+    time_tolerance_s: float = TIME_TOLERANCE_S
 
     @classmethod
     def of(cls, settings: NodeSettings) -> Plan:
@@ -64,6 +75,7 @@ class Plan:
             settings.state,
             tuple((sink_class(sink.type), sink) for sink in settings.sinks),
             settings.security,
+            TIME_TOLERANCE_S if settings.array is None else settings.array.time_tolerance_s,
         )
 
     def problems(self) -> list[str]:
@@ -101,8 +113,9 @@ class Plan:
 
     @property
     def block_frames(self) -> int:
-        """Frames in a block; never more than the UEs that a worker may hold."""
-        return min(self.workers.block_frames, int(self.worker_estimator()["max_ues"]))
+        """Frames in a block; never more than the UEs that a worker may hold, or than a message should."""
+        fit = max(1, BLOCK_BYTES // (8 * self.array.antennas * self.array.subcarriers))
+        return min(self.workers.block_frames, int(self.worker_estimator()["max_ues"]), fit)
 
     def worker_estimator(self) -> dict[str, Any]:
         """ChartEstimator's arguments for each worker, which gets its share of the UEs.

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import logging
+import math
 import mmap
 import struct
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +22,14 @@ from chachart.node.runtime.progress import Applied, Mark, Marks, missing
 from chachart.node.runtime.shard_queues import ShardQueues
 from chachart.node.runtime.sink_thread import SinkThread
 from chachart.sources.base import EndOfSource, Source
+from chachart.sources.checks import misfit
 
 _COUNT = struct.Struct("<q")
 
 log = logging.getLogger(__name__)
 
 RECV_TIMEOUT_S = 0.1
+ORDER = ("gaps", "out_of_order", "restamped")
 MARK_EVERY_S = 0.1
 TIMER_S = 0.001
 """Sockets wait in whole milliseconds: better a block leaves up to one early than one late."""
@@ -61,13 +65,16 @@ class Reader:
     rejected
         What had not; the source's own rejects are with the source.
     order
-        `gaps`: frames missing by the source's numbering; `out_of_order`: frames that came late.
+        `gaps`: frames missing by the source's numbering; `out_of_order`: frames that came late; `restamped`:
+        live frames whose time was too far from this host's.
     marks
         Where the source was, for whoever goes on from here.
     passed_on
         All frames below this number are in the queues.
     stirred
         When it last had its turn: (monotonic seconds).
+    complaint
+        What was wrong with the last block that had not the right shape.
     failure
         Why the source failed, where it did.
     antennas
@@ -75,12 +82,18 @@ class Reader:
     """
 
     def __init__(
-        self, source: Source, partitioner: Partitioner, queues: ShardQueues, tally: Tally | None = None
+        self,
+        source: Source,
+        partitioner: Partitioner,
+        queues: ShardQueues,
+        tally: Tally | None = None,
+        time_tolerance_s: float = math.inf,
     ) -> None:
         self.frames_in = 0
         self.blocks_in = 0
         self.rejected = Counters()
         self.order = Counters()
+        self.complaint: str | None = None
         self.failure: str | None = None
         self.sinks: tuple[SinkThread, ...] = ()
         self.marks = Marks()
@@ -91,6 +104,7 @@ class Reader:
         self._partitioner = partitioner
         self._queues = queues
         self._tally = tally
+        self._tolerance_ns = math.inf if source.lossless else time_tolerance_s * 1e9
         self._number = 0
         self._applied: Applied = []
         self._applied_below = 0
@@ -116,7 +130,7 @@ class Reader:
         self._applied_below = max((frame for _, _, frame in applied), default=0)
         self.frames_in, self.blocks_in = counted["frames_in"], counted["blocks_in"]
         self.rejected.merge(counted["rejected"])
-        self.order.merge({reason: counted[reason] for reason in ("gaps", "out_of_order")})
+        self.order.merge({reason: counted[reason] for reason in ORDER})
 
     def start(self) -> None:
         self._thread.start()
@@ -143,7 +157,8 @@ class Reader:
             "blocks_in": self.blocks_in,
             "rejected": rejected.as_dict(),
             "antennas": self.antennas.report(),
-            **{"gaps": 0, "out_of_order": 0, **self.order.as_dict()},
+            **dict.fromkeys(ORDER, 0),
+            **self.order.as_dict(),
         }
 
     def _run(self) -> None:
@@ -170,6 +185,8 @@ class Reader:
         self._pass_on(self._partitioner.due(now + TIMER_S))
 
     def _take(self, block: CsiBlock, now: float) -> None:
+        if self._tolerance_ns < math.inf:
+            block = self._in_time(block)
         numbers = np.arange(self._number, self._number + len(block))
         self._number += len(block)
         if numbers[0] < self._applied_below:
@@ -185,6 +202,15 @@ class Reader:
             sink.put(block)
         self._pass_on(self._partitioner.add(block, now, numbers))
 
+    def _in_time(self, block: CsiBlock) -> CsiBlock:
+        """With this host's time for frames of another day: no frame must move what others live by."""
+        now_ns = time.time_ns()
+        off = np.abs(block.time_ns - now_ns) > self._tolerance_ns
+        if not off.any():
+            return block
+        self.order.add("restamped", int(off.sum()))
+        return replace(block, time_ns=np.where(off, now_ns, block.time_ns))
+
     def _mark(self) -> None:
         """Note where the source is, now and then."""
         if time.monotonic() >= self._next_mark:
@@ -195,6 +221,7 @@ class Reader:
         array = self._source.array
         if (block.antennas, block.subcarriers) != (array.antennas, array.subcarriers):
             self.rejected.add("shape", len(block))
+            self.complaint = misfit((block.antennas, block.subcarriers), array)
             return False
         if self._expected is not None and block.seq != self._expected:
             late = block.seq < self._expected

@@ -6,6 +6,7 @@ import time
 from typing import Any
 
 from chachart.node.runtime.collector import Collector
+from chachart.node.runtime.condition import ConditionWatch
 from chachart.node.runtime.feeder_process import FeederProcess
 from chachart.node.runtime.plan import Plan
 from chachart.node.runtime.quality_watch import QualityWatch
@@ -36,14 +37,17 @@ class Reporter:
         self._workers = workers
         self._quality = quality
         self._rates = Rates()
+        self._condition = ConditionWatch()
 
-    def report(self, state: str, method: dict[str, str], seconds: float) -> dict[str, Any]:
+    def report(
+        self, state: str, method: dict[str, str], seconds: float, state_error: str | None
+    ) -> dict[str, Any]:
         """A `NodeStatus` as plain values."""
         fed, table = self._feeder.status, self._collector.table
         frames_in, estimated = fed.get("frames_in", 0), fed.get("frames_estimated", 0)
         rates = self._rates.add(time.monotonic(), frames_in, estimated)
         workers = self._worker_reports()
-        return NodeStatus(
+        status = NodeStatus(
             state=state,
             array=self._plan.array.name,
             source=self._plan.source_settings.type,
@@ -60,6 +64,7 @@ class Reporter:
             rejected=fed.get("rejected", {}),
             gaps=fed.get("gaps", 0),
             out_of_order=fed.get("out_of_order", 0),
+            restamped=fed.get("restamped", 0),
             ues=len(table),
             ues_evicted=table.evicted,
             ues_forgotten=table.forgotten,
@@ -74,7 +79,19 @@ class Reporter:
             state_lost=self._feeder.total("state_lost"),
             ues_reset=self._feeder.total("ues_reset"),
             feeder_restarts=self._feeder.supervised.restarts,
+            feeder_pid=self._feeder.pid,
+            stuck=self._feeder.stuck or next((w["stuck"] for w in workers if w.get("stuck")), None),
+            state_error=state_error,
+            relative=self._relative(method),
+            complaint=fed.get("complaint"),
         ).as_dict()
+        condition = self._condition.judge(status, time.monotonic())
+        return {**status, "state": condition.state, "reason": condition.reason, "fix": condition.fix}
+
+    def _relative(self, method: dict[str, str]) -> bool:
+        """Whether nothing gives distances a scale."""
+        unscaled = self._plan.estimator.isq_reference is None and not self._collector.has_truth
+        return method["rho"] == "isq" and unscaled and len(self._collector.table) > 0
 
     def _worker_reports(self) -> list[dict[str, Any]]:
         children = self._workers.children

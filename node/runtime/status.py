@@ -16,7 +16,11 @@ class NodeStatus:
     Attributes
     ----------
     state
-        `starting`, `running`, `draining` or `stopped`.
+        `starting`, `running`, `degraded` (it runs, but something is wrong), `draining` or `stopped`.
+    reason, fix
+        Why it is not simply running, and what would help; None where there is nothing to say.
+    stuck
+        Which process has not stirred for longer than it may, or None.
     array, source, method
         Name of the array, type of the source, {theta, rho}.
     lossless
@@ -34,6 +38,8 @@ class NodeStatus:
         Frames that were lost on the way, and input that was no usable frame, by reason.
     gaps, out_of_order
         Frames missing and frames late by the source's own numbering.
+    restamped
+        Live frames whose time was too far from this host's: they have this host's.
     ues, ues_evicted, ues_forgotten
         UEs on the chart, UEs that made room for others, UEs unseen for too long.
     latency_ms
@@ -54,8 +60,15 @@ class NodeStatus:
     state_lost, ues_reset
         Frames that are in the estimates no more, because they had not been in a snapshot when a process died
         and could not be had again, and the UEs that they were of.
-    feeder_restarts
-        How often the feeder process had to be started again.
+    state_error
+        Why what the main process knows cannot be written to `[state] directory`, or None.
+    relative
+        Whether distances have no scale: rho = "isq" without a reference.
+    complaint
+        What was wrong with what was rejected last, or None.
+    feeder_pid, feeder_restarts
+        The feeder's process id, None while there is none; how often it had to be
+        started again.
     antennas
         How the antennas do: `chachart.node.estimation.antennas.AntennaWatch.report`.
     source_details
@@ -63,6 +76,9 @@ class NodeStatus:
     """
 
     state: str = "starting"
+    reason: str | None = None
+    fix: str | None = None
+    stuck: str | None = None
     array: str = ""
     source: str = ""
     method: dict[str, str] = field(default_factory=dict)
@@ -78,6 +94,7 @@ class NodeStatus:
     rejected: dict[str, int] = field(default_factory=dict)
     gaps: int = 0
     out_of_order: int = 0
+    restamped: int = 0
     ues: int = 0
     ues_evicted: int = 0
     ues_forgotten: int = 0
@@ -89,6 +106,10 @@ class NodeStatus:
     recording: str | None = None
     state_lost: int = 0
     ues_reset: int = 0
+    state_error: str | None = None
+    relative: bool = False
+    complaint: str | None = None
+    feeder_pid: int | None = None
     feeder_restarts: int = 0
     antennas: dict[str, Any] = field(default_factory=dict)
     source_details: dict[str, Any] = field(default_factory=dict)
@@ -103,7 +124,7 @@ def summary(status: dict[str, Any], latency_ms: dict[str, float | None]) -> dict
     keys = ("array", "source", "method", "frames_in", "frames_estimated", "dropped", "rejected", "gaps")
     ues = ("ues", "ues_evicted", "ues_forgotten", "ues_reset")
     return {
-        **{key: status[key] for key in (*keys, "out_of_order", *ues, "state_lost")},
+        **{key: status[key] for key in (*keys, "out_of_order", "restamped", *ues, "state_lost")},
         "seconds": round(status["seconds"], 3),
         "quality": status["quality"],
         "latency_ms": latency_ms,

@@ -23,7 +23,7 @@ from prometheus_client.registry import Collector
 from chachart.sinks.base import NodeAccess
 from chachart.sinks.web.answers import Answer, Query, Route
 
-STATES = ("starting", "running", "draining", "stopped")
+STATES = ("starting", "running", "degraded", "draining", "stopped")
 _COUNTS = {
     "frames_in": "Frames that came in.",
     "frames_estimated": "Frames behind an estimate.",

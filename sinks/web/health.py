@@ -21,8 +21,8 @@ class Health:
 
     def __init__(self, stale_after_s: float) -> None:
         self._stale_after_s = stale_after_s
-        self._called = time.monotonic()
-        self._state = "starting"
+        self._called = self._reported = time.monotonic()
+        self._status: dict[str, Any] = {"state": "starting"}
         self._frames = 0
         self._frames_at: float | None = None
 
@@ -31,23 +31,28 @@ class Health:
         self._called = time.monotonic()
 
     def status(self, report: dict[str, Any]) -> None:
-        """The node has told its state."""
-        self._state = report["state"]
+        """The node has told how it is."""
+        self._status, self._reported = report, time.monotonic()
         if report["frames_estimated"] != self._frames:
             self._frames = report["frames_estimated"]
             self._frames_at = time.monotonic()
 
     def trouble(self) -> str | None:
-        """Why the node is not alive, or None."""
-        silent = time.monotonic() - self._called
-        return f"the node has not stirred for {silent:.0f} s" if silent > STUCK_AFTER_S else None
+        """Why the node is not alive, or None: its loop, feeder or a worker has not stirred for too long."""
+        silent = time.monotonic() - min(self._called, self._reported)
+        if silent > STUCK_AFTER_S and self._status["state"] != "stopped":
+            return f"the node has not stirred for {silent:.0f} s"
+        stuck: str | None = self._status.get("stuck")
+        return stuck
 
     def unready(self) -> str | None:
-        """Why the node is not of use now, or None."""
+        """Why the node is not of use now, and what would help, or None."""
         if trouble := self.trouble():
             return trouble
-        if self._state != "running":
-            return self._state
+        state = self._status["state"]
+        if state != "running":
+            why = "; ".join(text for key in ("reason", "fix") if (text := self._status.get(key)))
+            return f"{state}: {why}" if why else str(state)
         if self._frames_at is None:
             return "no frame has come yet"
         stale = time.monotonic() - self._frames_at

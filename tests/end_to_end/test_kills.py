@@ -244,3 +244,20 @@ def test_without_snapshots_what_is_lost_is_told(make_live: MakeNode) -> None:
     summary = finish(node)
     assert adds_up(summary)
     assert summary["state_lost"] >= 2000
+
+
+@pytest.mark.parametrize("victim", ["worker", "feeder"])
+def test_what_hangs_is_noticed_and_succeeded(
+    make_node: MakeNode, undisturbed: ChartUpdate, victim: str
+) -> None:
+    node = make_node(2, every_s=0.5)
+    node.start()
+    reached(node, FRAMES // 3)
+    os.kill(worker_pid(node, 1) if victim == "worker" else node.feeder_pid, signal.SIGSTOP)
+    until(lambda: node.status()["stuck"] or node.status()["reason"], "it is told")
+    summary = finish(node)
+    assert (summary["worker_restarts"], summary["feeder_restarts"]) == (
+        (1, 0) if victim == "worker" else (0, 1)
+    )
+    assert_nothing_is_lost(summary)
+    assert_same_chart(node, undisturbed)
