@@ -1,0 +1,1 @@
+"""Where moving UEs are, from one observation after the other."""
