@@ -103,9 +103,16 @@ class Area:
             parts = [np.broadcast_to(v[..., None], shape) for v in (x, y)] + [np.broadcast_to(z, shape)]
         else:
             shape = x.shape
-            parts = [x, y, self.height_m + self.slope[0] * x + self.slope[1] * y]
+            parts = [x, y, self.height(np.stack([x, y], axis=-1))]
         points = np.stack(parts, axis=-1).reshape(-1, 3)
         return Grid(points, shape, step, self.contains(points))
+
+    def height(self, place: Floats) -> Floats:
+        """z (...) at places (..., 2); in the middle where it is free."""
+        if self.height_m is None:
+            return np.full(place.shape[:-1], sum(self.heights_m) / 2)
+        heights: Floats = self.height_m + place @ np.asarray(self.slope)
+        return heights
 
     def contains(self, points: Floats) -> NDArray[np.bool_]:
         """Whether world positions (..., 3) are inside the area."""

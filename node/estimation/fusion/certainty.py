@@ -60,6 +60,8 @@ class Fused:
         log likelihoods (U, M), -inf for one that is the same as another.
     shares
         Of each array's largest single path, the part (U, B) that the position explains.
+    purity
+        The largest part (U,) of an array's energy that the position explains.
     """
 
     position: Floats
@@ -71,6 +73,7 @@ class Fused:
     top_covariances: Floats
     top_scores: Floats
     shares: Floats
+    purity: Floats
 
     def __len__(self) -> int:
         return len(self.position)
@@ -126,6 +129,7 @@ def judged(said: Said, peaks: Peaks, basis: Floats, spread: Floats) -> Fused:
         top_covariances=tops,
         top_scores=np.where(_repeated(peaks, best), -np.inf, peaks.fit),
         shares=explained,
+        purity=share.max(axis=1),
     )
 
 

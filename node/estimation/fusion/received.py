@@ -39,7 +39,7 @@ class Received:
         tones = self._csi.shape[2]
         found = scipy.fft.ifft(self._csi, self._delays, axis=2, norm="forward")
         found *= phasor(-(tones - 1) / 2 * np.arange(self._delays) / self._delays)
-        found *= np.float32(1 / np.sqrt(tones * self._csi.shape[1]))
+        found *= np.float32(1 / np.sqrt(self.site.samples))
         return np.asarray(found, np.complex64)
 
     def spectrum(self, beams: Complex) -> Singles:
@@ -56,7 +56,7 @@ class Received:
         far = rho if delay_m is None else rho + delay_m
         beamed = self.site.match(points, rho) @ self._csi
         found = np.einsum("uqs,uqs->uq", self._tones(far), beamed)
-        scale = np.float32(1 / (self._csi.shape[1] * self._csi.shape[2]))
+        scale = np.float32(1 / self.site.samples)
         return np.where(front, (found.real**2 + found.imag**2) * scale, np.float32(0))
 
     def best_power(self, points: Floats) -> Singles:
@@ -64,9 +64,7 @@ class Received:
         rho, front = self.site.ranges(points)
         beamed = self.site.match(points, rho) @ self._csi
         z = scipy.fft.ifft(beamed, self._delays, axis=2, norm="forward")
-        found = (z.real**2 + z.imag**2).max(axis=2) * np.float32(
-            1 / (self._csi.shape[1] * self._csi.shape[2])
-        )
+        found = (z.real**2 + z.imag**2).max(axis=2) * np.float32(1 / self.site.samples)
         return np.where(front, found, np.float32(0))
 
     def _tones(self, far: Floats) -> Complex:

@@ -29,11 +29,14 @@ class Site:
     elements
         World positions (N, 3) in metres.
     normal
-        Unit vector (3,) out of its front; a position behind it explains nothing that the array receives.
+        Unit vector (3,) out of its front; a position behind it explains nothing that the array receives. None
+        if it hears from all sides.
     tones_hz
         Frequencies (S,) of the subcarriers, evenly spaced.
     light_speed_m_s
         Propagation speed.
+    measured
+        How many of the tones are measured, the others being zeros; None: all.
 
     Raises
     ------
@@ -43,15 +46,19 @@ class Site:
 
     name: str
     elements: Floats
-    normal: Floats
+    normal: Floats | None
     tones_hz: Floats
     light_speed_m_s: float = SPEED_OF_LIGHT
+    measured: int | None = None
 
     def __post_init__(self) -> None:
         if self.elements.ndim != 2 or self.elements.shape[1] != 3 or not len(self.elements):
             raise ValueError(f"elements must be (N, 3), not {self.elements.shape}")
-        if self.normal.shape != (3,) or not np.isclose(np.linalg.norm(self.normal), 1.0, atol=1e-6):
-            raise ValueError(f"normal must be a unit vector of 3 numbers, not {self.normal}")
+        normal = self.normal
+        if normal is not None and not (
+            normal.shape == (3,) and np.isclose(np.linalg.norm(normal), 1.0, atol=1e-4)
+        ):
+            raise ValueError(f"normal must be a unit vector of 3 numbers, not {normal}")
         steps = np.diff(self.tones_hz)
         if not len(steps) or steps[0] <= 0 or not np.allclose(steps, steps[0], rtol=1e-6):
             raise ValueError("tones_hz must be at least two, rising evenly")
@@ -61,6 +68,11 @@ class Site:
         """World position (3,) of the middle of the elements, which delays are counted from."""
         middle: Floats = self.elements.mean(axis=0)
         return middle
+
+    @property
+    def samples(self) -> int:
+        """Of a frame, measured ones."""
+        return len(self.elements) * (self.measured or len(self.tones_hz))
 
     @property
     def spacing_hz(self) -> float:
@@ -90,7 +102,10 @@ class Site:
     def ranges(self, points: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Distance (...) of world positions (..., 3) from the centre, and whether they are in front."""
         offset = points - self.centre
-        return np.sqrt(np.einsum("...i,...i->...", offset, offset)), offset @ self.normal > 0
+        rho = np.sqrt(np.einsum("...i,...i->...", offset, offset))
+        if self.normal is None:
+            return rho, np.ones(rho.shape, np.bool_)
+        return rho, offset @ self.normal > 0
 
     def match(self, points: Floats, rho: Floats) -> Complex:
         """Conjugate phases (..., N) of spherical waves from `points` (..., 3), `rho` (...) away."""

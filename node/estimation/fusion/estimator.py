@@ -1,0 +1,257 @@
+"""Blocks of several arrays in, fused and tracked positions out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from chachart.node.data.chart import ChartUpdate, Method
+from chachart.node.data.columns import COLUMNS
+from chachart.node.data.counters import Counters
+from chachart.node.data.csi import CsiBlock
+from chachart.node.data.facts import Delay
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.estimation.fusion.area import Area
+from chachart.node.estimation.fusion.certainty import Fused
+from chachart.node.estimation.fusion.events import Events, Gathering
+from chachart.node.estimation.fusion.fuser import Clock, Fuser
+from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
+from chachart.node.estimation.fusion.receiver import Receiver
+from chachart.node.estimation.fusion.sighted import sightings
+from chachart.node.estimation.slots import SlotTable
+from chachart.node.estimation.state import Slots
+from chachart.node.estimation.tracking.tracker import Tracked, Tracker
+
+METHOD: Final = Method("fusion", "fusion")
+ECHOES_SHARE = 0.25
+"""Part of a fused position's covariance that stays however many follow: echoes shift them all alike."""
+LEAST_ENERGY, MOST_ENERGY = 1e-28, 1e28
+
+
+class FusedEstimator:
+    """Locates UEs from the frames of several arrays, and follows them.
+
+    Parameters
+    ----------
+    arrays
+        The arrays, each with a name of its own.
+    fusion, tracking
+        See there.
+    delay
+        Whether UEs share the arrays' clock: with "relative", they do not.
+    max_ues
+        So many are followed; the longest unseen make room.
+
+    Attributes
+    ----------
+    rejected
+        Frames that were not used, by reason: `shape`, `zero`, `not_finite`, `out_of_range`, `unknown_array`.
+    heard
+        Frames that were used, by array.
+
+    Raises
+    ------
+    ValueError
+        If an array or an option does not fit.
+    """
+
+    def __init__(
+        self,
+        arrays: Sequence[ArrayGeometry],
+        fusion: FusionOptions | None = None,
+        tracking: TrackingOptions | None = None,
+        *,
+        delay: Delay = "absolute",
+        max_ues: int = 100_000,
+    ) -> None:
+        self.arrays = tuple(arrays)
+        self.fusion, self.tracking = fusion or FusionOptions(), tracking or TrackingOptions()
+        self._number = {array.name: i for i, array in enumerate(self.arrays)}
+        if len(self._number) < len(self.arrays):
+            raise ValueError(f"arrays must have different names, not {[a.name for a in self.arrays]}")
+        self._receivers = [Receiver(array) for array in self.arrays]
+        sites = [receiver.site for receiver in self._receivers]
+        self.clock = clock_of(self.arrays, delay) if self.fusion.clock == "auto" else self.fusion.clock
+        self._fuser = Fuser(sites, self._area(), self.clock)
+        shapes = [receiver.shape for receiver in self._receivers]
+        self._gathering = Gathering(shapes, self.fusion.window_ms)
+        self._table = SlotTable(max_ues)
+        motion = self.tracking.motion
+        self._tracker = None if motion == "off" else Tracker(motion, self.tracking.lag)
+        self._max_ues = max_ues
+        self.rejected, self.heard = Counters(), Counters()
+
+    @property
+    def method(self) -> Method:
+        """What rows say of how they were made."""
+        return METHOD
+
+    @property
+    def ues(self) -> int:
+        """How many UEs are known."""
+        return len(self._table)
+
+    @property
+    def tracker(self) -> Tracker | None:
+        """What follows UEs, if anything does."""
+        return self._tracker
+
+    def update(self, block: CsiBlock) -> ChartUpdate:
+        """Take the frames of one array; one row for each UE with a transmission that is complete now.
+
+        A transmission is complete when all arrays have received it, or when one that has not could no longer.
+        """
+        return self.newest(self.every(block))
+
+    def flush(self) -> ChartUpdate:
+        """Rows of what still waits for arrays: no frame comes any more."""
+        return self.newest(self._every(everything=True))
+
+    def every(self, block: CsiBlock | None) -> list[ChartUpdate]:
+        """As `update`, but all rows of a UE: one update for each of its transmissions; None flushes."""
+        if block is None:
+            return list(self._every(everything=True))
+        if (number := self._number.get(block.array)) is None:
+            self.rejected.add("unknown_array", len(block))
+            return []
+        receiver = self._receivers[number]
+        if block.csi.shape[1:] != (receiver.array.antennas, receiver.array.subcarriers):
+            self.rejected.add("shape", len(block))
+            return []
+        good = self._good(block)
+        if good is None:
+            return []
+        self.heard.add(block.array, len(good))
+        csi = receiver.prepared(good.csi)
+        self._gathering.add(number, CsiBlock(good.array, good.seq, good.ue, good.time_ns, csi, good.position))
+        return list(self._every())
+
+    def newest(self, updates: Sequence[ChartUpdate] | Iterator[ChartUpdate]) -> ChartUpdate:
+        """The last row of each UE."""
+        found = [update for update in updates if len(update)]
+        return ChartUpdate.concatenate(found) if found else self._nothing()
+
+    def forget(self, before_ns: int) -> NDArray[np.uint64]:
+        """Let go of the UEs that were last seen before then; returns them."""
+        slots = self._table.unseen_since(before_ns)
+        gone = self._table.ues(slots)
+        self._table.remove(slots)
+        return gone
+
+    def _area(self) -> Area:
+        told = self.fusion
+        first = self.arrays[0]
+        height = told.height_m
+        if height is None:
+            height = 0.0 if first.height_m is None else float(first.centre_m[2]) - first.height_m
+        level = None if height == "free" else float(height)
+        outline = None if told.outline_m is None else tuple(told.outline_m)
+        box = told.area_m
+        if box is None and outline is not None:
+            x, y = zip(*outline, strict=True)
+            box = (min(x), min(y), max(x), max(y))
+        if box is None:
+            around = Area.around([receiver.site for receiver in self._receivers], level)
+            box = (*around.low, *around.high)
+        return Area(box[:2], box[2:], level, told.slope, told.heights_m, outline)
+
+    def _good(self, block: CsiBlock) -> CsiBlock | None:
+        flat = block.csi.reshape(len(block), -1)
+        with np.errstate(all="ignore"):
+            energy = np.einsum("ki,ki->k", flat.real, flat.real) + np.einsum("ki,ki->k", flat.imag, flat.imag)
+        good = (energy > LEAST_ENERGY) & (energy < MOST_ENERGY)
+        if good.all():
+            return block
+        for reason, which in (
+            ("zero", energy == 0),
+            ("not_finite", ~np.isfinite(energy)),
+            ("out_of_range", np.isfinite(energy) & (energy != 0) & ~good),
+        ):
+            if which.any():
+                self.rejected.add(reason, int(which.sum()))
+        return block.take(good) if good.any() else None
+
+    def _every(self, everything: bool = False) -> Iterator[ChartUpdate]:
+        """Updates of one transmission a UE each."""
+        events = self._gathering.ready(everything)
+        if events is None:
+            return
+        turn = _turns(events.ue)
+        for i in range(int(turn.max()) + 1):
+            now = events.take(turn == i)
+            for start in range(0, len(now), self._max_ues):
+                part = np.zeros(len(now), np.bool_)
+                part[start : start + self._max_ues] = True
+                yield self._row(now.take(part))
+
+    def _row(self, events: Events) -> ChartUpdate:
+        assigned = self._table.assign(events.ue, events.time_ns)
+        if self._tracker is None:
+            return self._published(events, self._fuser.locate(events.frames), None)
+        self._tracker.resize(self._table.capacity)
+        self._tracker.clear(assigned.new)
+        slots = assigned.slots
+        fused = self._fuser.locate(events.frames, self._near(slots, events.time_ns))
+        return self._published(events, fused, self._tracker.update(slots, events.time_ns, sightings(fused)))
+
+    def _near(self, slots: Slots, time_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Where the tracks say that UEs are, as points (U, 1, 3) to search from."""
+        assert self._tracker is not None
+        place = self._tracker.expected(slots, time_ns)
+        return np.column_stack([place, self._fuser.area.height(place)])[:, None]
+
+    def _published(self, events: Events, fused: Fused, tracked: Tracked | None) -> ChartUpdate:
+        position, covariance = fused.position, fused.covariance
+        time_ns, speed = events.time_ns, None
+        if tracked is not None:
+            around = ECHOES_SHARE * covariance
+            around[:, :2, :2] += tracked.covariance[:, :2, :2]
+            position, covariance = np.column_stack([tracked.state[:, :2], position[:, 2]]), around
+            speed, time_ns = tracked.state[:, 2:], tracked.time_ns
+        theta, rho = self.arrays[0].theta_rho(position)
+        best = np.clip(fused.purity, 1e-6, 1 - 1e-6)
+        return ChartUpdate(
+            self.fusion.name,
+            METHOD,
+            events.ue,
+            time_ns,
+            theta=theta,
+            rho=rho,
+            x=position[:, 0],
+            y=position[:, 1],
+            z=position[:, 2],
+            x_var=covariance[:, 0, 0],
+            xy_cov=covariance[:, 0, 1],
+            y_var=covariance[:, 1, 1],
+            z_var=covariance[:, 2, 2],
+            vx=None if speed is None else speed[:, 0],
+            vy=None if speed is None else speed[:, 1],
+            snr=10 * np.log10(best / (1 - best)),
+            snapshots=events.count.astype(np.float64),
+            arrays=fused.arrays,
+            outlier=fused.outlier,
+            position=events.position,
+        )
+
+    def _nothing(self) -> ChartUpdate:
+        needed = {column.name: column.missing(0) for column in COLUMNS.values() if not column.optional}
+        return ChartUpdate(self.fusion.name, METHOD, **needed)
+
+
+def clock_of(arrays: Sequence[ArrayGeometry], delay: Delay) -> Clock:
+    """What the arrays' descriptions and a capture's facts say of clocks."""
+    names = {array.clock for array in arrays}
+    together = len(names) == 1 and (None not in names) and all(a.clock_shares == "time" for a in arrays)
+    if len(arrays) == 1 or together:
+        return "shared" if delay == "absolute" else "offset"
+    return "own"
+
+
+def _turns(ue: NDArray[Any]) -> NDArray[np.intp]:
+    """How many entries of the same UE come before each, where those of a UE stand together."""
+    starts = np.flatnonzero(np.concatenate([[True], ue[1:] != ue[:-1]]))
+    lengths = np.diff(np.append(starts, len(ue)))
+    return np.arange(len(ue)) - np.repeat(starts, lengths)

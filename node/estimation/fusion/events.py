@@ -1,0 +1,149 @@
+"""Frames of one transmission, as several arrays have received it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from chachart.node.data.csi import CsiBlock
+
+Complex = NDArray[np.complex64]
+
+LATEST_MS = 500.0
+"""Frames of an array that lags behind the others by more than this do not join theirs."""
+
+
+@dataclass(frozen=True)
+class Events:
+    """E transmissions, in the order of their UEs and times.
+
+    Attributes
+    ----------
+    ue, time_ns
+        Who (E,), and when the last array received it (E,).
+    frames
+        One complex64 (E, N, S) an array, zeros where it has not received it.
+    count
+        Frames in it (E,).
+    position
+        Known positions (E, 3), NaN where unknown.
+    """
+
+    ue: NDArray[np.uint64]
+    time_ns: NDArray[np.int64]
+    frames: list[Complex]
+    count: NDArray[np.int64]
+    position: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.ue)
+
+    def take(self, which: NDArray[np.bool_]) -> Events:
+        """Some of them."""
+        frames = [f[which] for f in self.frames]
+        return Events(self.ue[which], self.time_ns[which], frames, self.count[which], self.position[which])
+
+
+class Gathering:
+    """Holds frames until those of the other arrays are there, or can be expected no longer.
+
+    Parameters
+    ----------
+    shapes
+        Antennas and tones of each array.
+    window_ms
+        Frames of a UE that follow each other within this time are of one transmission.
+    """
+
+    def __init__(self, shapes: Sequence[tuple[int, int]], window_ms: float) -> None:
+        self._shapes = list(shapes)
+        self._window_ns = round(window_ms * 1e6)
+        self._patience_ns = round(max(LATEST_MS, 2 * window_ms) * 1e6)
+        self._held: list[tuple[int, CsiBlock]] = []
+        self._newest_ns = np.iinfo(np.int64).min
+
+    @property
+    def held(self) -> int:
+        """Frames that wait for others."""
+        return sum(len(block) for _, block in self._held)
+
+    def add(self, array: int, block: CsiBlock) -> None:
+        """Take the frames of an array (its number)."""
+        self._held.append((array, block))
+        self._newest_ns = max(self._newest_ns, int(block.time_ns.max()))
+
+    def ready(self, everything: bool = False) -> Events | None:
+        """Transmissions that are complete or overdue, or all there are; None if there is none."""
+        if not self._held:
+            return None
+        ue = np.concatenate([block.ue for _, block in self._held])
+        time_ns = np.concatenate([block.time_ns for _, block in self._held])
+        array = np.repeat([a for a, _ in self._held], [len(block) for _, block in self._held])
+        order = np.lexsort((time_ns, ue))
+        later = np.diff(time_ns[order]) > self._window_ns
+        event = np.empty(len(ue), np.intp)
+        event[order] = np.concatenate([[0], np.cumsum(later | (ue[order][1:] != ue[order][:-1]))])
+        events = int(event.max()) + 1
+        heard = np.zeros((events, len(self._shapes)), np.bool_)
+        heard[event, array] = True
+        last = np.full(events, np.iinfo(np.int64).min)
+        np.maximum.at(last, event, time_ns)
+        done = heard.all(axis=1) | (last < self._newest_ns - self._patience_ns) | everything
+        if not done.any():
+            return None
+        found = self._joined(event, done, ue, last)
+        self._keep(~done[event])
+        return found
+
+    def _joined(
+        self,
+        event: NDArray[np.intp],
+        done: NDArray[np.bool_],
+        ue: NDArray[np.uint64],
+        last: NDArray[np.int64],
+    ) -> Events:
+        number = np.cumsum(done) - 1
+        count = int(done.sum())
+        frames = [np.zeros((count, *shape), np.complex64) for shape in self._shapes]
+        frames_in = np.zeros(count, np.int64)
+        position = np.full((count, 3), np.nan, np.float32)
+        who = np.zeros(count, np.uint64)
+        start = 0
+        for array, block in self._held:
+            its = event[start : start + len(block)]
+            start += len(block)
+            rows = np.flatnonzero(done[its])
+            into = number[its[rows]]
+            add_in_phase(frames[array], into, block.csi[rows])
+            np.add.at(frames_in, into, 1)
+            who[into] = block.ue[rows]
+            if block.position is not None:
+                known = np.isfinite(block.position[rows]).all(axis=1)
+                position[into[known]] = block.position[rows][known]
+        return Events(who, last[done], frames, frames_in, position)
+
+    def _keep(self, waiting: NDArray[np.bool_]) -> None:
+        kept, start = [], 0
+        for array, block in self._held:
+            mine = waiting[start : start + len(block)]
+            start += len(block)
+            if mine.any():
+                kept.append((array, block if mine.all() else block.take(mine)))
+        self._held = kept
+
+
+def add_in_phase(total: Complex, into: NDArray[np.intp], csi: Complex) -> None:
+    """Add frames (K, N, S) to `total[into]`, each turned to the phase of what is there already."""
+    left = np.arange(len(into))
+    while len(left):
+        _, first = np.unique(into[left], return_index=True)
+        now = left[first]
+        there = total[into[now]]
+        product = np.einsum("kns,kns->k", csi[now].conj(), there)
+        size = np.abs(product)
+        turn = np.where(size > 0, product / np.maximum(size, np.float32(1e-37)), np.complex64(1))
+        total[into[now]] = there + turn[:, None, None] * csi[now]
+        left = np.delete(left, first)
