@@ -62,10 +62,10 @@ class NodeAccess(Protocol):
         """
 
     def antennas(self, ue: int) -> dict[str, Any]:
-        """Level and phase by antenna and by subcarrier of the UE's newest frame, as it came in.
+        """Level and phase by antenna and by subcarrier of the UE's newest frame, and its paths.
 
-        `antenna_db`, `antenna_phase`, `tone_db`, `tone_phase`, `ue` and `time_ns`; {} until a frame of it
-        comes after it was asked for.
+        `antenna_db`, `antenna_phase`, `tone_db`, `tone_phase` of the frame as it came in, `ue`, `time_ns`,
+        and the picture of `chachart.node.estimation.angle_delay`; {} until a frame comes that was asked for.
         """
 
     def set_method(self, theta: str, rho: str) -> dict[str, str]:

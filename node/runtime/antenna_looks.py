@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import logging
 import time
+from collections import deque
 from typing import Any
 
 import numpy as np
 
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.estimation.angle_delay import angle_delay
 from chachart.node.estimation.antennas import AntennaWatch, response
 
 log = logging.getLogger(__name__)
 
 LOOK_EVERY_S = 0.5
+KEPT_FRAMES = 8
 WATCHED_S = 5.0
-"""So long after somebody asked, a UE's newest frame is kept."""
+"""So long after somebody asked, a UE's newest frames are kept."""
 
 
 class AntennaLooks:
@@ -26,8 +29,9 @@ class AntennaLooks:
         self._watch = AntennaWatch(array)
         self._report: dict[str, Any] = {}
         self._next = 0.0
+        self._array = array
         self._watched: tuple[int, float] | None = None
-        self._seen: tuple[int, int, Any] | None = None
+        self._seen: tuple[int, deque[tuple[int, Any]]] | None = None
 
     def see(self, block: CsiBlock, now: float) -> None:
         """A block came in."""
@@ -36,7 +40,9 @@ class AntennaLooks:
             if now > watched[1]:
                 self._watched = self._seen = None
             elif len(rows := np.flatnonzero(block.ue == np.uint64(watched[0]))):
-                self._seen = (watched[0], int(block.time_ns[rows[-1]]), block.csi[rows[-1]].copy())
+                if self._seen is None or self._seen[0] != watched[0]:
+                    self._seen = (watched[0], deque(maxlen=KEPT_FRAMES))
+                self._seen[1].append((int(block.time_ns[rows[-1]]), block.csi[rows[-1]].copy()))
         if now >= self._next:
             self._next = now + LOOK_EVERY_S
             self._watch.look(block)
@@ -50,7 +56,13 @@ class AntennaLooks:
         """See `NodeAccess.antennas`."""
         self._watched = (ue, time.monotonic() + WATCHED_S)
         seen = self._seen
-        return {} if seen is None or seen[0] != ue else {"ue": ue, "time_ns": seen[1], **response(seen[2])}
+        if seen is None or seen[0] != ue:
+            return {}
+        frames = list(seen[1])
+        csi = np.stack([frame for _, frame in frames])
+        calibration = self._array.calibration
+        picture = angle_delay(csi if calibration is None else calibration.apply(csi), self._array)
+        return {"ue": ue, "time_ns": frames[-1][0], **response(csi[-1]), **picture}
 
     def _tell(self, report: dict[str, Any]) -> None:
         before, faults = self._report.get("faults", {}), report.get("faults", {})

@@ -2,6 +2,7 @@
 
 import { showAntennas, showResponse } from './antennas.js';
 import { redraw } from './curve.js';
+import { showPaths, strongPaths, Waterfall } from './depth.js';
 import { saveCsv, savePng, stamp } from './export.js';
 import { History } from './history.js';
 import { bindKeys } from './keys.js';
@@ -21,6 +22,7 @@ const picture = new Picture($('plot'), world, (row) => select(row < 0 ? null : w
 const stream = new Stream();
 const names = new Names();
 picture.names = names;
+const waterfall = new Waterfall();
 const list = new List(world, names, (ue) => select(ue));
 const history = new History(stream, () => pill(), toast);
 const recordings = new Recordings(stream);
@@ -73,8 +75,13 @@ function pill() {
   const over = stream.state === 'live' && replay.plays?.ended;
   const past = stream.state === 'live' && history.looking;
   const still = past || (stream.state === 'live' && replay.plays?.paused);
-  $('link').dataset.state = ended() || over ? 'ended' : still ? 'paused' : stream.state;
-  $('link').textContent = past ? 'in the past' : over ? 'end of the recording' : still ? 'paused' : replay.plays && stream.state === 'live' ? 'replay' : words[stream.state];
+  const { state, reason, fix } = statuses.at(-1) ?? {};
+  const ill = stream.state === 'live' && !still && !over && Boolean(reason) && state !== 'running';
+  $('notice').hidden = !ill || state === 'starting';
+  if (ill) $('notice').textContent = [reason, fix].filter(Boolean).join(' – ');
+  $('waiting').textContent = ill ? reason : 'waiting for the first estimates';
+  $('link').dataset.state = ended() || over ? 'ended' : still ? 'paused' : ill ? 'degraded' : stream.state;
+  $('link').textContent = past ? 'in the past' : over ? 'end of the recording' : still ? 'paused' : ill ? state : replay.plays && stream.state === 'live' ? 'replay' : words[stream.state];
 }
 
 stream.addEventListener('hello', ({ detail }) => {
@@ -174,7 +181,7 @@ async function refresh() {
   const row = picture.ue === null ? undefined : world.index.get(picture.ue);
   $('user').hidden = picture.ue === null;
   if (row === undefined) return;
-  const truth = showUser(world, row, hello.array, names);
+  const truth = showUser(world, row, hello.array, names, picture.paths);
   showHistory(world, row, $('historyof').value);
   if (history.looking) showSpectra(null, truth);
   if (asking || history.looking || stream.state === 'gone') return;
@@ -183,9 +190,16 @@ async function refresh() {
   try {
     const spectrum = await stream.ask('spectrum', { ue: `${ue}` });
     if (picture.ue === ue) showSpectra(spectrum, truth);
-    if ($('response').open) {
-      const found = await stream.ask('antennas', { ue: `${ue}` });
-      if (picture.ue === ue) showResponse(found, !hello.places);
+    waterfall.take(ue, spectrum);
+    const found = await stream.ask('antennas', { ue: `${ue}` });
+    if (picture.ue !== ue) return;
+    picture.paths = strongPaths(found);
+    if ($('response').open) showResponse(found, !hello.places);
+    if ($('depth').open) {
+      const line = !hello.places;
+      const angle = line ? world.theta[row] : Math.PI / 2 - world.azimuth[row];
+      showPaths(found, { angle, rho: world.rho[row] }, picture.colouring.scalar, line);
+      waterfall.show(picture.colouring.scalar);
     }
   } catch (error) {
     if (stream.state !== 'gone') toast(`No spectrum of UE ${ue}: ${error.message}`);
@@ -196,6 +210,7 @@ async function refresh() {
 
 function select(ue) {
   picture.ue = ue;
+  picture.paths = 0;
   picture.touch();
   refresh();
   const row = world.index.get(ue);
@@ -310,7 +325,7 @@ $('find').addEventListener('submit', (event) => {
 for (const kind of ['theta', 'rho']) $(kind).addEventListener('change', () => changeMethod(kind));
 $('qualityof').addEventListener('change', takeQuality);
 $('historyof').addEventListener('change', refresh);
-$('response').addEventListener('toggle', refresh);
+for (const id of ['response', 'depth']) $(id).addEventListener('toggle', refresh);
 $('follow').addEventListener('change', () => {
   picture.follow = $('follow').checked;
   picture.touch(true);

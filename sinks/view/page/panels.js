@@ -111,14 +111,16 @@ const decibels = (values) => {
 };
 
 /** The numbers of one UE, from the table. */
-export function showUser(world, row, array, names) {
+export function showUser(world, row, array, names, paths) {
   const truth = Number.isFinite(world.true_x[row]);
   const age = (world.now() - world.time[row]) / 1000;
+  const angle = Number.isFinite(world.azimuth?.[row]) ? 'azimuth' : 'theta';
   const called = names.of(world.ue[row]);
   element('username').textContent = called === `${world.ue[row]}` ? `UE ${called}` : `${called} · UE ${world.ue[row]}`;
   facts(element('userfacts'), [
-    ['θ', `${number(world.theta[row] * DEGREES, 4)}°`, { unit: `± ${number(world.theta_std[row] * DEGREES, 2)}°`, kind: 'big' }],
+    [angle === 'azimuth' ? 'azimuth' : 'θ', `${number(world[angle][row] * DEGREES, 4)}°`, { unit: `± ${number(world[`${angle}_std`][row] * DEGREES, 2)}°`, kind: 'big' }],
     ['ρ', number(world.rho[row], 4), { unit: `± ${number(world.rho_std[row], 2)} m`, kind: 'big' }],
+    ...(paths > 1 ? [['± holds for', `one path, there are ${paths}`, { kind: 'long warn' }]] : []),
     ['x', number(world.x[row], 4), { unit: 'm' }],
     ['y', number(world.y[row], 4), { unit: 'm' }],
     ['SNR', world.snr[row].toFixed(1).replace('-', '−'), { unit: 'dB' }],

@@ -263,15 +263,23 @@ export class Picture {
     context.stroke();
   }
 
-  /** Two standard deviations of theta and rho, as an ellipse turned towards the array. */
+  /** Two standard deviations, as an ellipse: of the covariance, or else of theta and rho, turned to the array. */
   #spread(context, pane, row, x, y) {
     const { world } = this;
-    const along = 2 * world.rho_std[row] * pane.scale;
-    const across = 2 * world.theta_std[row] * world.rho[row] * pane.scale;
+    let along = 2 * world.rho_std[row] * pane.scale;
+    let across = 2 * world.theta_std[row] * world.rho[row] * pane.scale;
+    let turn = Math.atan2(y - pane.y0, x - pane.x0);
+    const [xx, xy, yy] = ['cov_xx', 'cov_xy', 'cov_yy'].map((name) => world[name]?.[row] ?? NaN);
+    if (Number.isFinite(xx + xy + yy)) {
+      const middle = (xx + yy) / 2;
+      const off = Math.hypot((xx - yy) / 2, xy);
+      [along, across] = [middle + off, Math.max(middle - off, 0)].map((variance) => 2 * Math.sqrt(variance) * pane.scale);
+      turn = -Math.atan2(2 * xy, xx - yy) / 2; // the picture's y axis points down
+    }
     if (!(along > 0 && across > 0 && along < 1e4 && across < 1e4)) return;
     context.fillStyle = this.colours.band;
     context.beginPath();
-    context.ellipse(x, y, along, across, Math.atan2(y - pane.y0, x - pane.x0), 0, 2 * Math.PI);
+    context.ellipse(x, y, along, across, turn, 0, 2 * Math.PI);
     context.fill();
   }
 }
