@@ -2,6 +2,7 @@
 
 chachart device espargos                                  a board, its controller on port 8000
 chachart device oai --listen 127.0.0.1:2021               a 5G gNB's T tracer
+chachart device wifi --set source.tool=feitcsi            a Wi-Fi tool, which sends to --listen
 chachart device krakensdr --set source.loopback.frames=100  keys of the source's loopback table
 chachart device espargos --config espargos.toml           the array and [source.loopback] of a configuration
 
@@ -23,7 +24,7 @@ from chachart.config.registry import source_class
 from chachart.node.data.errors import SetupError
 from chachart.sources.live.device import Address, DeviceSource
 
-PORTS = {"espargos": 8000, "oai": 2021, "krakensdr": 5000}
+PORTS = {"espargos": 8000, "oai": 2021, "krakensdr": 5000, "wifi": 5500}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

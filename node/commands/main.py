@@ -18,7 +18,7 @@ COMMANDS = {
     "calibrate": "find an array's calibration, and swapped cables, from a recording",
     "config": "print a commented sample configuration",
     "ctl": "ask and steer a running node",
-    "device": "be a live device (espargos, oai, krakensdr), simulated, for a node to listen to",
+    "device": "be a live device (espargos, oai, krakensdr, wifi), simulated, for a node to listen to",
     "evaluate": "chart a recording and say how good the chart is",
     "export": "turn a recording or a chart log into a file for other tools",
     "frontend": "be an array front-end on a serial line or a CAN bus, with faults on request",

@@ -93,6 +93,12 @@ def read(data: NDArray[np.uint8], numbers: Numbers | None = None) -> Log:
     return log
 
 
+def is_payload(payload: bytes) -> bool:
+    """Whether a UDP payload has the CSI of a core and stream."""
+    count, rest = divmod(len(payload) - HEADER, 4)
+    return rest == 0 and count in _SIZES and payload[:2] == bytes([_MAGIC, _MAGIC])
+
+
 def read_payloads(data: NDArray[np.uint8], found: Payloads, numbers: Numbers | None = None) -> Log:
     """The frames of UDP payloads that follow one another in time, in bytes (N,).
 

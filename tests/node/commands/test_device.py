@@ -53,7 +53,7 @@ def test_a_source_listens_to_a_device_in_another_process(name: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["toaster"], 'there is no device "toaster", only espargos, oai, krakensdr'),
+        (["toaster"], 'there is no device "toaster", only espargos, oai, krakensdr, wifi'),
         (["oai", "--config", "lab.toml"], 'a source "simulator", not "oai"'),
         (["oai", "--set", "source.loopback=false"], "[source] loopback: must be true, or a table"),
         (["oai", "--listen", "192.0.2.1:7"], "192.0.2.1:7 cannot be listened at"),
