@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_FILE_UNITS = {"": "", "ns": "", "rad": "_rad", "m": "_m", "dB": "_db", "m/s": "_m_s", "m²": "_m2"}
+_FILE_UNITS = {"": "", "ns": "", "rad": "_rad", "m": "_m", "s": "_s", "dB": "_db", "m/s": "_m_s", "m²": "_m2"}
 """What a name ends in where it is to say its unit; `time_ns` says it anyway."""
 
 
@@ -128,6 +128,7 @@ _ALL = (
         "elevation_std", "float64", "± elevation", "Standard deviation of elevation.", "rad", 6, optional=True
     ),
     Column("rho_std", "float64", "± ρ", "Standard deviation of rho.", "m", optional=True),
+    Column("delay_spread", "float64", "delay spread", "Rms over the paths.", "s", 10, optional=True),
     Column("x", "float64", "x", "Towards a line's broadside; in the world for other arrays.", "m"),
     Column("y", "float64", "y", "Along a line's axis; in the world for other arrays.", "m"),
     Column("z", "float64", "z", "Height in the world.", "m", optional=True),

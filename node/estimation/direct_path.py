@@ -78,7 +78,7 @@ class DirectPath:
         cell = 2 * np.pi / antennas.span / self.angle.phase
         cost = np.abs(turn) / self.angle.phase / max(ANGLE_SPREAD, cell / 2)
         self._angle_cost = cost.astype(np.float32)
-        self._lobes = _lobes(antennas, a), _lobes(tones, d)
+        self._lobes = lobes(antennas, a), lobes(tones, d)
         cells = np.arange(a * d).reshape(a, d)
         ring = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
         self._neighbours = np.stack([np.roll(cells, shift, axis=(0, 1)).ravel() for shift in ring])
@@ -164,14 +164,14 @@ class DirectPath:
         some = power[:, self._sparse, self._sparse].reshape(len(power), -1)
         middle = some.shape[1] // 2
         median: Floats = np.partition(some, middle, axis=1)[:, middle].astype(np.float64)
-        return median / _gamma_quantile(looks, 0.0)
+        return median / gamma_quantile(looks, 0.0)
 
     def _peaks(self, power: Power, looks: Floats, floor: Floats) -> Index:
         """Flat indices, ascending, of maxima that noise would rarely reach; for each UE at least one."""
         k, cells = len(power), self._neighbours.shape[1]
         flat = power.reshape(-1)
         level = np.maximum(
-            floor * _gamma_quantile(looks, FALSE_ALARM_DEVIATE),
+            floor * gamma_quantile(looks, FALSE_ALARM_DEVIATE),
             LEAST_PEAK * power.reshape(k, cells).max(axis=1),
         )
         above = power >= level.astype(np.float32)[:, None, None]
@@ -202,7 +202,7 @@ class DirectPath:
         height = power.reshape(-1)[peaks]
         first = np.searchsorted(ue, np.arange(k))
         highest = np.maximum.reduceat(height, first)[ue]
-        strongest = _of_each(ue, height == highest, k)[ue]
+        strongest = of_each(ue, height == highest, k)[ue]
         lobe = self._lobes[0][(i - i[strongest]) % a] * self._lobes[1][(j - j[strongest]) % d]
         net = np.maximum(height - floor.astype(np.float32)[ue], np.float32(1e-3) * height)
         net[height < np.minimum(SIDE_LOBE_MARGIN * lobe, 1) * highest] = 0
@@ -212,7 +212,7 @@ class DirectPath:
         score = np.log(np.maximum(share, np.float32(1e-30)))
         score -= (delays @ self._delay_cost)[ue, j]
         score -= (angles @ self._angle_cost)[ue, i]
-        best: Index = cell[_of_each(ue, score == np.maximum.reduceat(score, first)[ue], k)]
+        best: Index = cell[of_each(ue, score == np.maximum.reduceat(score, first)[ue], k)]
         return best
 
     def _parabola(self, power: Power, cell: Index) -> tuple[Floats, Floats]:
@@ -260,7 +260,7 @@ def _wrapped(angle: NDArray[Any]) -> NDArray[Any]:
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
-def _lobes(lattice: Lattice, grid: int) -> Power:
+def lobes(lattice: Lattice, grid: int) -> Power:
     """Envelope of a path's main and side lobes in P at the grid's points from its own, 1 at the top."""
     x = np.arange(grid) / grid
     lobes = 1 / np.maximum((lattice.span * np.sin(np.pi * x)) ** 2, 1)
@@ -274,12 +274,12 @@ def _lobes(lattice: Lattice, grid: int) -> Power:
     return np.asarray(lobes, np.float32)
 
 
-def _gamma_quantile(n: Floats, deviate: float) -> Floats:
+def gamma_quantile(n: Floats, deviate: float) -> Floats:
     """Quantile of the mean of n exponentials of mean 1, n >= 1, to 5 % (Wilson and Hilferty 1931)."""
     return (1 - 1 / (9 * n) + deviate / (3 * np.sqrt(n))) ** 3
 
 
-def _of_each(ue: Index, chosen: NDArray[np.bool_], count: int) -> Index:
+def of_each(ue: Index, chosen: NDArray[np.bool_], count: int) -> Index:
     """Index (count,) of a chosen entry of each UE."""
     of = np.empty(count, np.intp)
     at = np.flatnonzero(chosen)

@@ -14,6 +14,7 @@ from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.covariance import Grouping
+from chachart.node.estimation.directions.joint import DirectionLocator
 from chachart.node.estimation.fit import misfits
 from chachart.node.estimation.joint import JointLocator
 from chachart.node.estimation.locator import Columns, Locator
@@ -256,9 +257,10 @@ class ChartEstimator:
     def _make_locator(self, options: Options) -> Locator:
         for name, problem in misfits(options, self.array):
             raise ValueError(f"{name} {problem}")
-        make = JointLocator if options.theta == JOINT else SeparateLocator
-        locator: Locator = make(self.array, options)
-        return locator
+        make: type[JointLocator | DirectionLocator | SeparateLocator] = SeparateLocator
+        if options.theta == JOINT:
+            make = JointLocator if self.array.is_uniform else DirectionLocator
+        return make(self.array, options)
 
     def _with_method(self, theta: str, rho: str) -> Options:
         return Options.of(**cast(Keywords, {**self.options.keywords(), "theta": theta, "rho": rho}))

@@ -67,6 +67,8 @@ class Options(Settings):
     """(distance in m, sum of amplitudes there) puts ISQ to scale; else known positions do, else nothing."""
     phase: Phase = "auto"
     """Of a UE's channel from frame to frame, for `joint`: `steady` averages frames, `random` their powers."""
+    paths: int = Field(2, ge=1, le=8)
+    """With `joint` and an array that is no line: so many paths are told apart where there are echoes."""
     delay: Delay = "absolute"
     """`relative`: a frame's delay is its detection's, not the distance's, as in captures of Wi-Fi tools."""
     forget_after_s: float | None = Field(None, gt=0)
@@ -155,6 +157,7 @@ class Keywords(TypedDict, total=False):
     lr_log_range: bool
     isq_reference: tuple[float, float] | None
     phase: Phase
+    paths: int
     delay: Delay
     forget_after_s: float | None
     max_ues: int

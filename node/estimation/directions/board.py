@@ -53,25 +53,29 @@ class BoardManifold(DirectionManifold):
         twice = np.full(len(self._slots), 2, np.float32)
         twice[self._slots == self._centre] = 1
         self._twice = twice
-        self.points = self._grid()
+        self.points = self.grid(PER_CELL)[0]
 
-    def _grid(self) -> Floats:
-        """Directions on a uniform grid of u and v, as far as they can be told apart, in front."""
-        axes = []
+    def grid(self, per_cell: float) -> tuple[Floats, Floats]:
+        """See `DirectionManifold`: even in u and v, as far as they can be told apart."""
+        axes, steps = [], []
         for size, phase in ((self.columns, self.phase[0]), (self.rows, self.phase[1])):
             if size == 1:
                 axes.append(np.linspace(-1, 1, 5))
+                steps.append(0.5)
                 continue
             edge = min(phase, np.pi)
-            count = int(np.ceil(2 * edge / (2 * np.pi / size / PER_CELL))) + 1
+            count = int(np.ceil(2 * edge / (2 * np.pi / size / per_cell))) + 1
             axes.append(np.linspace(-edge, edge, count) / phase)
+            steps.append(axes[-1][1] - axes[-1][0])
         right, up = (a.ravel() for a in np.meshgrid(*axes))
         inside = right**2 + up**2 < 1
         right, up = right[inside], up[inside]
         normal = np.sqrt(1 - right**2 - up**2)
         side = 1.0 if self.plane is None else self.plane[2]
         points = np.stack([right, up, side * normal], axis=1)
-        return points if self.facing is None else points[points @ self.facing > -1e-9]
+        if self.facing is not None:
+            points = points[points @ self.facing > -1e-9]
+        return points, points[:, :2] / steps
 
     def features(self, x: Complex, conjugate: Complex) -> Complex:
         """Lags (K, L) of X Xᴴ for factors x (K, N, M), some at a time."""

@@ -30,9 +30,16 @@ class FreeManifold(DirectionManifold):
 
     def __init__(self, array: ArrayGeometry) -> None:
         super().__init__(array)
-        spacing = self.cell / PER_CELL
+        self.points = self.grid(PER_CELL)[0]
+
+    def grid(self, per_cell: float) -> tuple[Floats, Floats]:
+        """See `DirectionManifold`: even in the projection on the plane, or on the sphere."""
+        spacing = self.cell / per_cell
         points = fibonacci(spacing) if self.plane is None else disc(self.plane, spacing)
-        self.points = points if self.facing is None else points[points @ self.facing > -1e-9]
+        if self.facing is not None:
+            points = points[points @ self.facing > -1e-9]
+        flat = points if self.plane is None else points - (points @ self.plane)[:, None] * self.plane
+        return points, flat / spacing
 
     def features(self, x: Complex, conjugate: Complex) -> Complex:
         """X Xᴴ (K, N, N)."""
@@ -77,9 +84,16 @@ class RingManifold(FreeManifold):
         if self.facing is not None and abs(self.facing[1]) > 1 - 1e-6:
             self.facing = None
         self.plane = self._axes = None
-        azimuth = np.linspace(-np.pi, np.pi, int(np.ceil(2 * np.pi / (self.cell / PER_CELL))), endpoint=False)
+        self.points = self.grid(PER_CELL)[0]
+
+    def grid(self, per_cell: float) -> tuple[Floats, Floats]:
+        """See `DirectionManifold`: even on the ring."""
+        count = int(np.ceil(2 * np.pi * per_cell / self.cell))
+        azimuth = np.linspace(-np.pi, np.pi, count, endpoint=False)
         points = unit(azimuth, np.zeros(len(azimuth)))
-        self.points = points if self.facing is None else points[points @ self.facing > -1e-9]
+        if self.facing is not None:
+            points = points[points @ self.facing > -1e-9]
+        return points, points * (count / (2 * np.pi))
 
     def ways(self, d: Floats) -> Floats:
         """The way of growing azimuth, and none besides."""

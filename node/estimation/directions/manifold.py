@@ -77,6 +77,13 @@ class DirectionManifold(ABC):
         self._tables: dict[np.dtype[Any], NDArray[Any]] = {}
 
     @abstractmethod
+    def grid(self, per_cell: float) -> tuple[Floats, Floats]:
+        """Directions (G, 3) with so many points a resolution cell each way, and where they are, (G, ...).
+
+        The latter is in steps of the grid: neighbours are 1 to 1.5 apart.
+        """
+
+    @abstractmethod
     def features(self, x: Complex, conjugate: Complex) -> Complex:
         """What the spectrum aᴴQa follows from, (K, ...), of Q = X Xᴴ for factors x (K, N, M)."""
 

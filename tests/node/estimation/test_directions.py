@@ -166,6 +166,64 @@ def test_reaches_the_bound(shape: str, method: str, snr_db: float) -> None:
     assert max(*stated, theta) < 1.15
 
 
+@pytest.mark.parametrize("snr_db", [-10.0, 0.0, 20.0])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_joint_reaches_the_bound(shape: str, snr_db: float) -> None:
+    array = an_array(shape, 32 if snr_db < 0 else 16)
+    azimuth, elevation, *stated, theta, chart = located(
+        array, shape, snr_db, frames=20 if snr_db < 0 else 4, theta="joint", rho="joint"
+    )
+    assert max(azimuth, elevation) < 1.1
+    assert min(*stated, theta) > 0.85
+    assert max(*stated, theta) < 1.2
+    assert (chart["delay_spread"] < 1e-6).all()
+
+
+def test_two_paths_within_a_cell_come_apart() -> None:
+    """0.6 of a cell in angle and in delay; also as part of the estimate, whose bias falls."""
+    array = an_array("8x8", 64)
+    d = unit(np.array([0.20, 0.34]), np.array([0.10, 0.05]))
+    rho = np.array([60.0, 63.5])
+    rng = np.random.default_rng(3)
+    clean = some_frames(array, d, rho, 200.0, np.random.default_rng(0))
+    csi = (clean[:1] + 0.6 * clean[1:]).astype(np.complex64)
+    csi = csi + 0.1 * rng.standard_normal((*csi.shape, 2), np.float32).view(np.complex64)[..., 0]
+    off = {}
+    for paths in (1, 2):
+        estimator = ChartEstimator(array, theta="joint", rho="joint", paths=paths)
+        chart = estimator.update(csi, ue=[1])
+        off[paths] = np.linalg.norm(unit(chart["azimuth"], chart["elevation"])[0] - d[0])
+    assert off[2] < 0.003
+    assert off[2] < off[1] / 3
+    spectrum = estimator.spectrum(1)
+    assert spectrum is not None
+    np.testing.assert_allclose(spectrum["path_azimuth"], [0.20, 0.34], atol=0.01)
+    np.testing.assert_allclose(spectrum["path_elevation"], [0.10, 0.05], atol=0.01)
+    np.testing.assert_allclose(spectrum["path_rho_m"], rho, atol=0.3)
+    np.testing.assert_allclose(spectrum["path_power_db"], [0, 20 * np.log10(0.6)], atol=0.5)
+
+
+@pytest.mark.parametrize("phase", ["auto", "steady", "random"])
+def test_joint_averages_frames_whatever_their_phase(phase: str) -> None:
+    """Eight frames of one UE; with phase = "steady" they do keep it."""
+    array = an_array("2x4", 16)
+    rng = np.random.default_rng(8)
+    azimuth, elevation = somewhere("2x4", 200, rng)
+    d, rho = unit(azimuth, elevation), rng.uniform(20, 300, 200)
+    still = some_frames(array, d, rho, 200.0, rng)
+    estimator = ChartEstimator(array, theta="joint", rho="joint", phase=phase, averaging="mean")
+    for _ in range(8):
+        noise = rng.standard_normal((*still.shape, 2), np.float32).view(np.complex64)[..., 0] / np.float32(
+            2**0.5
+        )
+        turn = np.exp(2j * np.pi * rng.random((200, 1, 1)) * (phase != "steady")).astype(np.complex64)
+        chart = estimator.update(still * turn + noise, ue=np.arange(200))
+    off = chart["azimuth"] - azimuth
+    assert np.sqrt(np.mean((off / chart["azimuth_std"]) ** 2)) < 1.2
+    assert np.median(chart["azimuth_std"]) < 0.02
+    assert np.median(chart["snr"]) == pytest.approx(0, abs=0.5)
+
+
 @pytest.mark.parametrize("method", ["mvdr", "minnorm"])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_what_is_stated_is_true(shape: str, method: str) -> None:
