@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections import OrderedDict
+import zlib
 from dataclasses import replace
 from typing import Any, ClassVar, Literal
 
@@ -18,16 +18,18 @@ from chachart.node.net.doorkeeper import Doorkeeper, key_problems
 from chachart.node.net.endpoints import Endpoint, bind, bind_problems, fixed
 from chachart.node.net.limits import Refusals
 from chachart.node.net.security import SecuritySettings, endpoint_exposure
-from chachart.node.net.wire import WireError, decode_csi
+from chachart.node.net.wire import MAX_CSI_BYTES, WireError, decode_csi_from
 from chachart.sources.base import Source, SourceSettings
-from chachart.sources.checks import usable
+from chachart.sources.checks import misfit, usable
+from chachart.sources.numbering import Numbering
 
 GATHERED_FRAMES = 32
 """Shorter blocks that have arrived already are handed on as one: the node's work is by the block."""
-REMEMBERED_BLOCKS = 1024
-"""Duplicates are recognised among so many blocks."""
-LONGEST_GAP = 10_000_000
-"""A jump in the numbering by more frames is a producer that counts anew."""
+LEAST_MESSAGE_BYTES = 16 * 1024 * 1024
+FITTING_FRAMES = 64
+"""So many frames of the array fit into a message, whatever the array."""
+HARD_LIMIT = 4
+"""Messages up to so many times longer than allowed are read and counted; longer ones end the connection."""
 
 
 class ZmqSettings(SourceSettings):
@@ -40,8 +42,8 @@ class ZmqSettings(SourceSettings):
     """true makes producers wait when the node is too slow; false drops the oldest waiting block."""
     queue_blocks: int = Field(16, ge=1, le=1024)
     """Blocks that may wait in the socket, for each producer."""
-    max_message_bytes: int = Field(16 * 1024 * 1024, ge=1024, le=256 * 1024 * 1024)
-    """A producer that sends a longer message is disconnected."""
+    max_message_bytes: int | None = Field(None, ge=1024, le=256 * 1024 * 1024)
+    """Longer messages are rejected as `too_long`; not set: 16 MiB, or what 64 frames of the array take."""
 
     def listens_on(self) -> str | None:
         """Its endpoint, unless any free one will do."""
@@ -54,7 +56,7 @@ class ZmqSettings(SourceSettings):
 
 
 class ZmqSource(Source):
-    """A PULL socket. One producer numbers the frames of the array; whoever starts anew may count from 0.
+    """A PULL socket. Every producer numbers its own frames; whoever starts anew may count from 0.
 
     Messages that are no blocks of this array are counted in `rejected` by reason, one each; frames of a block
     that are not usable are counted one by one.
@@ -71,6 +73,8 @@ class ZmqSource(Source):
         self._refused = Refusals("source zmq")
         self._endpoint = self.settings.endpoint
         self._numbering = Numbering()
+        fitting = FITTING_FRAMES * (8 * array.antennas * array.subcarriers + 1024)
+        self._limit = self.settings.max_message_bytes or min(max(LEAST_MESSAGE_BYTES, fitting), MAX_CSI_BYTES)
         self._held: CsiBlock | None = None
 
     @classmethod
@@ -89,7 +93,7 @@ class ZmqSource(Source):
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.PULL)
         self._socket.rcvhwm = self.settings.queue_blocks
-        self._socket.maxmsgsize = self.settings.max_message_bytes
+        self._socket.maxmsgsize = HARD_LIMIT * self._limit
         try:
             self._doorkeeper = Doorkeeper(self._context, self.security, self._refused, ("send",))
             self._doorkeeper.guard(self._socket, self.settings.endpoint)
@@ -107,7 +111,7 @@ class ZmqSource(Source):
             left = 0.0 if blocks else max(deadline - time.monotonic(), 0.0)
             if not self._socket.poll(math.ceil(left * 1e3)):
                 break
-            block = self._accept([part.buffer for part in self._socket.recv_multipart(copy=False)])
+            block = self._accept(self._socket.recv_multipart(copy=False))
             if block is None and time.monotonic() >= deadline:
                 break
             if block is not None and blocks and block.seq != blocks[-1].seq + len(blocks[-1]):
@@ -135,19 +139,26 @@ class ZmqSource(Source):
             "refused": self._refused.as_dict(),
         }
 
-    def _accept(self, parts: list[memoryview]) -> CsiBlock | None:
+    def _accept(self, frames: list[zmq.Frame]) -> CsiBlock | None:
+        parts = [frame.buffer for frame in frames]
+        longest = max(part.nbytes for part in parts)
+        if longest > self._limit:
+            self._reject("too_long", f"a message of {longest} bytes came, max_message_bytes is {self._limit}")
+            return None
         try:
-            block = decode_csi(parts)
+            producer, block = decode_csi_from(parts)
         except WireError as error:
-            self.rejected.add(error.reason)
+            self._reject(error.reason, str(error))
             return None
         if block.array != self.array.name:
-            self.rejected.add("array")
+            self._reject("array", f'frames of array "{block.array}" came, the array is "{self.array.name}"')
             return None
         if (block.antennas, block.subcarriers) != (self.array.antennas, self.array.subcarriers):
-            self.rejected.add("shape")
+            self._reject("shape", misfit((block.antennas, block.subcarriers), self.array))
             return None
-        seq = self._numbering.of(block)
+        # Whoever does not say who it is is told apart by its connection.
+        who = frames[0].get(zmq.SRCFD) if producer is None else producer
+        seq = self._numbering.of(block, who, _checksum(parts))
         if seq is None:
             self.rejected.add("duplicate", len(block))
             return None
@@ -155,45 +166,13 @@ class ZmqSource(Source):
         self._numbering.leave_out(len(block) - (0 if good is None else len(good)))
         return None if good is None else replace(good, seq=seq)
 
+    def _reject(self, reason: str, complaint: str) -> None:
+        self.rejected.add(reason)
+        self.complaint = complaint
 
-class Numbering:
-    """One numbering of the usable frames of a stream whose producer may repeat itself or start anew.
 
-    Gaps and late blocks stay visible in the numbers; whoever reads the source counts them.
-    """
-
-    def __init__(self) -> None:
-        self.restarts = 0
-        self._recent: OrderedDict[tuple[int, int, int], None] = OrderedDict()
-        self._offset = 0
-        self._expected = 0
-        self._latest_ns = 0
-
-    def of(self, block: CsiBlock) -> int | None:
-        """The number of the block's first frame, or None for a block that came before."""
-        key = (block.seq, int(block.time_ns[0]), len(block))
-        if key in self._recent:
-            return None
-        first = not self._recent
-        self._recent[key] = None
-        if len(self._recent) > REMEMBERED_BLOCKS:
-            self._recent.popitem(last=False)
-        if first:
-            self._offset, self._expected = -block.seq, block.seq
-        elif self._counts_anew(block):
-            self.restarts += 1
-            self._offset += self._expected - block.seq
-            self._expected = block.seq
-        number = max(block.seq + self._offset, 0)
-        self._expected = max(self._expected, block.seq + len(block))
-        self._latest_ns = max(self._latest_ns, int(block.time_ns.max()))
-        return number
-
-    def leave_out(self, frames: int) -> None:
-        """Give no numbers to the last `frames` frames."""
-        self._offset -= frames
-
-    def _counts_anew(self, block: CsiBlock) -> bool:
-        """A low number on a new frame, or a jump beyond reason."""
-        ahead = block.seq - self._expected
-        return ahead > LONGEST_GAP or (ahead < 0 and int(block.time_ns.min()) > self._latest_ns)
+def _checksum(parts: list[memoryview]) -> int:
+    """Of the header with UEs and times, and of some of the samples: what tells blocks apart, in no time."""
+    csi = parts[1]
+    some = min(1024, csi.nbytes)
+    return zlib.crc32(csi[-some:], zlib.crc32(csi[:some], zlib.crc32(parts[0])))

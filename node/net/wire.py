@@ -61,9 +61,24 @@ def decode_csi(parts: Sequence[Buffer]) -> CsiBlock:
     WireError
         With reason `parts`, `header`, `version`, `type`, `field`, `shape`, `dtype`, `size` or `scale`.
     """
+    return decode_csi_from(parts)[1]
+
+
+def decode_csi_from(parts: Sequence[Buffer]) -> tuple[str | None, CsiBlock]:
+    """The producer that a CSI message names, None if none, and its block.
+
+    Raises
+    ------
+    WireError
+        As `decode_csi`.
+    """
     if len(parts) != 2:
         raise WireError("parts", f"a CSI message has 2 parts, not {len(parts)}")
-    return _csi_block(_unpack(parts[0], "csi"), parts[1])
+    message = _unpack(parts[0], "csi")
+    producer = message.get("producer")
+    if producer is not None and not (isinstance(producer, str) and 0 < len(producer) <= MAX_NAME):
+        raise WireError("field", f"producer must be text of 1 to {MAX_NAME} characters")
+    return producer, _csi_block(message, parts[1])
 
 
 def decode_csi_map(body: Buffer) -> CsiBlock:

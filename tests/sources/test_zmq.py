@@ -16,7 +16,8 @@ from source_contract import SourceCase, SourceContract, receive
 from chachart.node.data.csi import CsiBlock
 from chachart.node.net.wire import encode_csi
 from chachart.sources.base import Source
-from chachart.sources.zmq import Numbering, ZmqSettings, ZmqSource
+from chachart.sources.numbering import Numbering
+from chachart.sources.zmq import ZmqSettings, ZmqSource
 
 MS = 1_000_000
 
@@ -163,16 +164,66 @@ def test_a_producer_that_starts_anew_goes_on(source: ZmqSource, producer: Produc
     assert source.details()["restarts"] == 1
 
 
-def test_too_long_a_message_never_arrives(tmp_path: Path) -> None:
+def test_too_long_a_message_is_counted_and_costs_nobody_else(tmp_path: Path) -> None:
     settings = ZmqSettings(endpoint=f"ipc://{tmp_path}/csi", max_message_bytes=4096)
     with ZmqSource(settings, small_array()) as source:
         greedy, modest = Producer(f"ipc://{tmp_path}/csi"), Producer(f"ipc://{tmp_path}/csi")
         greedy.send(some_block(64))
+        while not source.rejected.total():
+            assert source.recv(1.0) is None
         modest.send(modest.next_block())
         assert_same_frames(receive(source, 4), some_block(4, start_ns=START_NS, step_ns=MS))
-        assert source.recv(0.05) is None
+        assert source.rejected.as_dict() == {"too_long": 1}
+        assert "max_message_bytes is 4096" in str(source.complaint)
         greedy.close()
         modest.close()
+
+
+def test_a_message_of_64_frames_of_a_large_array_fits(tmp_path: Path) -> None:
+    array = small_array(64, 1024)
+    frames = some_block(64, antennas=64, subcarriers=1024)
+    with ZmqSource(ZmqSettings(endpoint=f"ipc://{tmp_path}/csi"), array) as source:
+        producer = Producer(f"ipc://{tmp_path}/csi")
+        producer.send(frames)
+        assert sum(len(block) for block in receive(source, 64)) == 64
+        producer.close()
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_producers_that_number_and_stamp_alike_lose_nothing(
+    source: ZmqSource, tmp_path: Path, named: bool
+) -> None:
+    producers = [Producer(source.details()["endpoint"]) for _ in range(3)]
+    rng = np.random.default_rng(3)
+    blocks = [[some_block(4, seq=4 * n, start_ns=START_NS) for n in range(20)] for _ in producers]
+    for n in range(20):
+        for number, producer in enumerate(producers):
+            block = blocks[number][n]
+            block.csi[:] += rng.standard_normal(block.csi.shape) if named else 0
+            header, csi = encode_csi(block)
+            name = {"producer": f"host {number}"} if named else {}
+            producer.socket.send_multipart([msgpack.packb({**msgpack.unpackb(header), **name}), csi])
+    assert numbers(receive(source, 240)) == list(range(240))
+    assert source.rejected.as_dict() == {}
+    assert source.details()["restarts"] == 0
+    for producer in producers:
+        producer.close()
+
+
+def test_a_named_producer_without_a_clock_may_start_again_and_again(source: ZmqSource) -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        producer = Producer(source.details()["endpoint"])
+        for n in range(10):
+            block = some_block(4, seq=4 * n, start_ns=0)
+            block.csi[:] = rng.standard_normal(block.csi.shape)
+            header, csi = encode_csi(block)
+            named = {**msgpack.unpackb(header), "producer": "roof"}
+            producer.socket.send_multipart([msgpack.packb(named), csi])
+        assert sum(len(block) for block in receive(source, 40)) == 40
+        producer.close()
+    assert source.rejected.as_dict() == {}
+    assert source.details()["restarts"] == 2
 
 
 def test_lossless_is_a_setting() -> None:
@@ -196,7 +247,7 @@ def test_gaps_stay_visible_and_unusable_frames_leave_none(
         seq += gap if index else 0
         expected += gap if index else 0
         block = some_block(frames, seq=seq, start_ns=START_NS + index * 1000 * MS)
-        assert numbering.of(block) == expected
+        assert numbering.of(block, content=index) == expected
         left_out = min(bad, frames)
         numbering.leave_out(left_out)
         seq += frames
