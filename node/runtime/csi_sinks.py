@@ -52,7 +52,7 @@ class CsiSinks:
         thread = SinkThread(cls(values, self._array), values.type, QUEUE_BLOCKS, self._lossless)
         thread.open(None)
         self._reader.sinks = (*self._reader.sinks, thread)
-        log.info("%s: %s", thread.name, thread.sink.where())
+        log.info("%s: %s", thread.name, thread.where())
         return thread
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
@@ -80,7 +80,7 @@ class CsiSinks:
             if self._closed:
                 raise RequestError("the node is draining: there is nothing more to record")
             if self._recording is not None:
-                raise RequestError(f"already recording to {self._recording.sink.where()}")
+                raise RequestError(f"already recording to {self._recording.where()}")
             try:
                 self._recording = self.add(sink_class("recorder"), {"type": "recorder", "path": path})
             except (SetupError, ValueError) as error:
@@ -110,7 +110,7 @@ class CsiSinks:
     def recording(self) -> str | None:
         """Where a recording started by request goes, if one runs."""
         recording = self._recording
-        return None if recording is None else recording.sink.where()
+        return None if recording is None else recording.where()
 
     def close(self, timeout: float) -> None:
         """Let all sinks finish what waits, within `timeout` seconds each, and close them; none is added."""

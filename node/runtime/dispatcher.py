@@ -326,7 +326,7 @@ class Dispatcher:
             "dropped": dropped.as_dict(),
             "dropped_here": self._queues.dropped_here(),
             "workers": workers,
-            "source": self._source.details(),
+            "source": self._reader.details(),
             "csi_sinks": self._csi_sinks.status(),
             "recording": self._csi_sinks.recording(),
             "failure": self._reader.failure,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 import threading
@@ -10,8 +11,12 @@ from typing import Any
 
 import zmq
 
+from chachart.node.data.errors import SetupError
 from chachart.node.runtime import messages
 
+LONGEST_PATH = 107
+"""Of a Unix socket, in bytes."""
+LONGEST_NAME = len("/commands")
 AT_ONCE = 256
 """Results taken before anything else gets its turn."""
 
@@ -28,7 +33,7 @@ class Links:
     """
 
     def __init__(self) -> None:
-        self.directory = Path(tempfile.mkdtemp(prefix="chachart-"))
+        self.directory = _short_directory()
         names = ("workers", "results", "commands", "quality")
         self.endpoints = {name: f"ipc://{self.directory / name}" for name in names}
         self._context = zmq.Context()
@@ -64,3 +69,15 @@ class Links:
         with self._lock:
             self._context.destroy(linger=0)
         self.remove_directory()
+
+
+def _short_directory() -> Path:
+    """A private directory whose sockets have paths that fit, in TMPDIR, or where that is too long, /tmp."""
+    for parent in (None, "/tmp"):
+        directory = Path(tempfile.mkdtemp(prefix="chachart-", dir=parent))
+        if len(os.fsencode(directory)) + LONGEST_NAME <= LONGEST_PATH:
+            return directory
+        directory.rmdir()
+    raise SetupError(
+        f"no directory for Unix sockets: {tempfile.gettempdir()} is too long, set TMPDIR to another"
+    )

@@ -135,7 +135,7 @@ class Node:
 
     def addresses(self) -> list[tuple[str, str]]:
         """Where a person finds what the chart's sinks give, by sink."""
-        places = ((sink.name, sink.sink.where()) for sink in self._collector.sinks)
+        places = ((sink.name, sink.where()) for sink in self._collector.sinks)
         return [(name, where) for name, where in places if where]
 
     def kill(self) -> None:

@@ -16,11 +16,13 @@ import numpy as np
 
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
+from chachart.node.runtime import messages
 from chachart.node.runtime.antenna_looks import AntennaLooks
 from chachart.node.runtime.partition import Partitioner, ShardBlock
 from chachart.node.runtime.progress import Applied, Mark, Marks, missing
 from chachart.node.runtime.shard_queues import ShardQueues
 from chachart.node.runtime.sink_thread import SinkThread
+from chachart.sinks.plain import plain
 from chachart.sources.base import EndOfSource, Source
 from chachart.sources.checks import misfit
 
@@ -105,6 +107,7 @@ class Reader:
         self._queues = queues
         self._tally = tally
         self._tolerance_ns = math.inf if source.lossless else time_tolerance_s * 1e9
+        self._details_failed = False
         self._number = 0
         self._applied: Applied = []
         self._applied_below = 0
@@ -160,6 +163,18 @@ class Reader:
             **dict.fromkeys(ORDER, 0),
             **self.order.as_dict(),
         }
+
+    def details(self) -> dict[str, Any]:
+        """What the source tells of itself; whatever is wrong with that harms nobody else."""
+        try:
+            details: dict[str, Any] = plain(self._source.details())
+            messages.pack(details)  # what cannot be sent must not end the dispatcher
+        except Exception as error:
+            if not self._details_failed:
+                log.exception("the source cannot tell its details")
+            self._details_failed = True
+            return {"error": f"{type(error).__name__}: {error}"}
+        return details
 
     def _run(self) -> None:
         try:

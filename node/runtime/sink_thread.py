@@ -98,11 +98,21 @@ class SinkThread:
                 self.dropped.add("not_finished", left)
             log.error("sink %s did not finish within %.0f s; %d did not get there", self.name, timeout, left)
 
+    def where(self) -> str | None:
+        """Where a person finds what the sink gives, as far as the sink can tell."""
+        try:
+            where = self.sink.where()
+        except Exception:
+            if self._failed(0):
+                log.exception("sink %s cannot tell where it is", self.name)
+            return None
+        return None if where is None else str(where)
+
     def status(self) -> dict[str, Any]:
         """Counts for the node's status report."""
         return {
             "name": self.name,
-            "where": self.sink.where(),
+            "where": self.where(),
             "received": self.received,
             "dropped": self.dropped.as_dict() | self.sink.lost.as_dict(),
             "refused": self.sink.refused.as_dict(),

@@ -87,6 +87,8 @@ def port_problems(settings: WebSettings) -> list[str]:
             with socketlib.socket(family, kind, proto) as probe:
                 probe.setsockopt(socketlib.SOL_SOCKET, socketlib.SO_REUSEADDR, 1)
                 probe.bind(address)
+        except UnicodeError:
+            return [f'sink "{settings.type}" cannot listen on {settings.host!r}: that is no name of a host']
         except OSError as error:
             problems = problems or [cannot_listen(settings, error)]
         else:

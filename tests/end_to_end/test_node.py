@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -162,6 +163,23 @@ def test_a_dead_quality_process_is_replaced(make_node: MakeNode, caplog: pytest.
     node.stop()
     assert node.wait(DEADLINE_S)
     assert node.close()["quality"]["tw"] > 0.9
+
+
+def test_a_source_whose_details_are_odd_costs_only_them(make_node: MakeNode) -> None:
+    node = make_node("details")
+    summary = run(node)
+    assert node.failure is None
+    assert summary["frames_in"] == summary["frames_estimated"] == odd_sources.FRAMES * odd_sources.BLOCKS
+    assert node.status()["source_details"] == {"error": "LookupError: a bug"}
+
+
+def test_sockets_find_a_place_where_tmpdir_is_too_long(
+    make_node: MakeNode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    long = tmp_path / ("long" * 20)
+    long.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(long))
+    assert run(make_node())["frames_estimated"] == 1000
 
 
 def test_a_feeder_that_dies_three_times_in_a_minute_ends_the_node(make_node: MakeNode) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,8 +18,9 @@ class OddSettings(SourceSettings):
     """What goes wrong, and when."""
 
     type: Literal["odd"] = "odd"
-    odd: Literal["open", "crash", "recv", "frames"] = "open"
-    """`open` fails, or `crash`es; `recv` raises half-way; odd `frames`: a wrong shape, a wrong number."""
+    odd: Literal["open", "crash", "recv", "frames", "details"] = "open"
+    """`open` fails, or `crash`es; `recv` raises half-way; odd `frames`: a wrong shape, a wrong number;
+    `details` that raise, and numpy values before that."""
 
 
 class Odd(Source):
@@ -48,6 +49,11 @@ class Odd(Source):
         if n == 10 and odd == "frames":
             return self._block(n + 1)
         return self._block(n)
+
+    def details(self) -> dict[str, Any]:
+        if self.settings.odd == "details" and self._sent > BLOCKS // 2:
+            raise LookupError("a bug")
+        return {"gain": np.float32(2.5), "levels": np.arange(3)}
 
     def _block(self, n: int, antennas: int | None = None) -> CsiBlock:
         shape = (FRAMES, antennas or self.array.antennas, self.array.subcarriers)

@@ -127,3 +127,8 @@ def test_an_address_of_another_machine_is_told() -> None:
     assert "Cannot assign requested address" in Metrics.problems(settings)[0]
     with pytest.raises(SetupError, match="Cannot assign requested address"):
         WebServer(settings, {}).start()
+
+
+def test_a_host_that_cannot_be_a_name_is_told_in_one_line() -> None:
+    [problem] = port_problems(WebSettings(type="metrics", host="a..b", token="x" * 16))
+    assert "a..b" in problem
