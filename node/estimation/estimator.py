@@ -25,8 +25,6 @@ from chachart.node.estimation.snapshots import SEEN, counted, joined
 from chachart.node.estimation.state import ROWS, Snapshot
 
 SPECTRUM_POINTS = 512
-POSITION_AGE_NS = 10 * 10**9
-"""For so long a known position is told of a UE whose newer frames tell none; for training, never."""
 LEAST_ENERGY, MOST_ENERGY = 1e-28, 1e28
 """Sum of |h|^2 of a frame that single precision can work with: covariances are multiplied with each other."""
 
@@ -87,6 +85,11 @@ class ChartEstimator:
     def ues(self) -> int:
         """How many UEs are known."""
         return len(self._memory.table)
+
+    @property
+    def bytes_per_ue(self) -> int:
+        """Memory that is kept of a UE: `max_ues` times as much is what this may grow to."""
+        return self._memory.bytes_per_slot
 
     def set_method(self, theta: str, rho: str) -> None:
         """Go on with other methods; their averages start afresh.
@@ -166,7 +169,7 @@ class ChartEstimator:
             block, features = block.take(good), features.take(good)
         group = Grouping(self._memory.assign(block.ue, block.time_ns).slots)
         time_ns = np.maximum.reduceat(block.time_ns[group.order], group.starts)
-        told, lasting = self._positions(block, group, time_ns)
+        told, lasting = self._memory.positions(block, group, time_ns)
         with np.errstate(divide="ignore", invalid="ignore"):  # NaN is for those without an estimate
             located = self._memory.locator.estimate(group, features, told)
         return self._published(block, group, located, time_ns, lasting)
@@ -273,25 +276,6 @@ class ChartEstimator:
         ):
             if which.any():
                 self.rejected.add(reason, int(which.sum()))
-
-    def _positions(
-        self, block: CsiBlock, group: Grouping, time_ns: NDArray[np.int64]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Positions (U, 3) that the block tells of its UEs, and the last known ones that are not too old."""
-        slots = group.slots
-        rows, told_ns = self._memory.position.rows, self._memory.position_ns.rows
-        told = np.full((len(group), 3), np.nan, np.float32)
-        if block.position is not None:
-            known = ~np.isnan(block.position.sum(axis=1))
-            index = np.where(known[group.order], np.arange(len(known)), -1)
-            latest = np.maximum.reduceat(index, group.starts)
-            has = latest >= 0
-            frames = group.order[latest[has]]
-            told[has] = rows[slots[has]] = block.position[frames]
-            told_ns[slots[has]] = block.time_ns[frames]
-        lasting = rows[slots]
-        lasting[time_ns - told_ns[slots] > POSITION_AGE_NS] = np.nan
-        return told, lasting
 
     def _published(
         self,

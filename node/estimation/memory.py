@@ -5,13 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from chachart.node.estimation.covariance import Bank
+from chachart.node.data.csi import CsiBlock
+from chachart.node.estimation.covariance import Bank, Grouping
 from chachart.node.estimation.locator import Locator
 from chachart.node.estimation.slots import Assignment, Ids, SlotTable
 from chachart.node.estimation.state import ROWS, Slots, SlotState, Snapshot
 
 LATEST = ("theta", "rho", "theta_std", "rho_std")
 """What is remembered of a UE's last row, to go with its spectrum."""
+
+POSITION_AGE_NS = 10 * 10**9
+"""For so long a known position is told of a UE whose newer frames tell none; for training, never."""
 
 
 class Memory(SlotState):
@@ -52,6 +56,25 @@ class Memory(SlotState):
             for name in ("position", "position_ns", "latest", "locator"):
                 self.children[name].clear(assigned.new)
         return assigned
+
+    def positions(
+        self, block: CsiBlock, group: Grouping, time_ns: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Positions (U, 3) that the block tells of its UEs, and the last known ones that are not too old."""
+        slots = group.slots
+        rows, told_ns = self.position.rows, self.position_ns.rows
+        told = np.full((len(group), 3), np.nan, np.float32)
+        if block.position is not None:
+            known = ~np.isnan(block.position.sum(axis=1))
+            index = np.where(known[group.order], np.arange(len(known)), -1)
+            latest = np.maximum.reduceat(index, group.starts)
+            has = latest >= 0
+            frames = group.order[latest[has]]
+            told[has] = rows[slots[has]] = block.position[frames]
+            told_ns[slots[has]] = block.time_ns[frames]
+        lasting = rows[slots]
+        lasting[time_ns - told_ns[slots] > POSITION_AGE_NS] = np.nan
+        return told, lasting
 
     def replace_locator(self, locator: Locator) -> None:
         """Go on with another locator, which knows nothing yet: every UE counts as touched."""

@@ -85,6 +85,12 @@ class SlotTable(SlotState):
         return self.capacity - self._free_count
 
     @property
+    def bytes_per_slot(self) -> int:
+        """Memory that a UE takes here, with as many free entries of the hash table as there may be."""
+        kept = (self._ue, self._last_seen, self._live, self._touched, self._free)
+        return sum(rows.itemsize for rows in kept) + 8 * self._table.itemsize
+
+    @property
     def slots(self) -> Slots:
         """Every slot in use, ascending."""
         return np.flatnonzero(self._live)
@@ -105,10 +111,6 @@ class SlotTable(SlotState):
     def ues(self, slots: Slots) -> Ids:
         """The UEs in `slots`."""
         return self._ue[slots]
-
-    def last_seen(self, slots: Slots) -> NDArray[np.int64]:
-        """Latest time_ns seen of the UEs in `slots`."""
-        return self._last_seen[slots]
 
     def lookup(self, ue: Ids) -> Slots:
         """The slot of each UE, -1 where it has none. UEs may repeat."""

@@ -6,6 +6,7 @@ that order; a name without brackets, as `ranging.sums`, is kept for all slots to
 
 from __future__ import annotations
 
+import math
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -36,6 +37,13 @@ class SlotState:
 
     def __init__(self, **children: SlotState) -> None:
         self.children = children
+
+    @property
+    def bytes_per_slot(self) -> int:
+        """Memory that the rows of one slot take."""
+        own = (getattr(self, name) for name in self.BY_SLOT)
+        bytes_of_own = sum(int(rows.itemsize) * math.prod(rows.shape[1:]) for rows in own)
+        return int(bytes_of_own) + sum(child.bytes_per_slot for child in self.children.values())
 
     def resize(self, capacity: int) -> None:
         """Have rows for at least `capacity` slots; new ones are zero."""

@@ -22,6 +22,7 @@ from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.options import Options
 from chachart.node.net.security import SecuritySettings, security_problems
+from chachart.node.runtime.capacity import capacity_problems
 from chachart.sinks.base import Sink, SinkSettings
 from chachart.sources.base import Source, SourceSettings
 
@@ -186,7 +187,7 @@ def _problems_apart_from_array(settings: NodeSettings) -> Iterator[str]:
 def estimator_problems(array: ArrayGeometry, estimator: Options) -> list[str]:
     """Why no estimator can be made from these settings for this array; nothing if one can."""
     try:
-        ChartEstimator(array, **(estimator.keywords() | {"max_ues": 1}))
+        smallest = ChartEstimator(array, **(estimator.keywords() | {"max_ues": 1}))
     except ValueError as error:
         return [f"[estimator]: {error}"]
-    return []
+    return list(capacity_problems(smallest, estimator))

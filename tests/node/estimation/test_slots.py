@@ -23,7 +23,7 @@ def test_same_ue_keeps_its_slot() -> None:
     assert sorted(first.new) == sorted(set(first.slots))
     assert list(again.slots) == [first.slots[3], first.slots[0], first.slots[1]]
     assert len(again.new) == 0
-    assert list(table.last_seen(again.slots)) == [5, 6, 7]
+    assert list(table.snapshot(again.slots)["last_seen[]"]) == [5, 6, 7]
     assert len(table) == 3
 
 
@@ -82,7 +82,7 @@ def test_a_late_frame_does_not_turn_back_last_seen() -> None:
     table = SlotTable()
     slots = table.assign(ids(1), at(10)).slots
     table.assign(ids(1), at(5))
-    assert list(table.last_seen(slots)) == [10]
+    assert list(table.snapshot(slots)["last_seen[]"]) == [10]
 
 
 def test_a_million_ues() -> None:
@@ -118,7 +118,8 @@ def test_behaves_like_a_dictionary_that_evicts(max_ues: int, blocks: list[tuple[
         assert all(seen[u] <= min(others, default=now) for u in evicted)
         seen = kept | dict.fromkeys(ue, now)
         assert {
-            int(u): int(t) for u, t in zip(table.ues(table.slots), table.last_seen(table.slots), strict=True)
+            int(u): int(t)
+            for u, t in zip(table.ues(table.slots), table.snapshot(table.slots)["last_seen[]"], strict=True)
         } == seen
         assert list(table.ues(got.slots)) == ue
         gone = sorted(seen)[:removals]

@@ -145,7 +145,9 @@ def test_the_slot_table_round_trips() -> None:
     fresh.restore(table.snapshot(), table.slots)
     assert np.array_equal(fresh.slots, table.slots)
     assert np.array_equal(fresh.lookup(ue), table.lookup(ue))
-    assert np.array_equal(fresh.last_seen(fresh.slots), table.last_seen(table.slots))
+    assert np.array_equal(
+        fresh.snapshot(fresh.slots)["last_seen[]"], table.snapshot(table.slots)["last_seen[]"]
+    )
     for t in range(100, 130):  # it goes on: room is made for the same ones
         new = np.array([t, t + 1000], np.uint64)
         both = [side.assign(new, np.full(2, t)) for side in (table, fresh)]
@@ -159,7 +161,22 @@ def test_a_slot_table_takes_ues_beside_those_it_has() -> None:
     moved = {"ue[]": np.array([2, 9], np.uint64), "last_seen[]": np.array([7, 8])}
     table.restore(moved, np.array([5, 0]))
     assert table.lookup(np.array([1, 2, 3, 9], np.uint64)).tolist() == [-1, 5, 2, 0]
-    assert table.last_seen(np.array([5, 0])).tolist() == [7, 8]
+    assert table.snapshot(np.array([5, 0]))["last_seen[]"].tolist() == [7, 8]
     assert len(table) == 3
     with pytest.raises(ValueError, match="each once"):
         table.restore({"ue[]": np.array([2, 2], np.uint64), "last_seen[]": np.array([7, 8])})
+
+
+@pytest.mark.parametrize("options", LOCATORS, ids=name)
+def test_bytes_of_a_slot_are_what_is_kept(los: Build, options: dict[str, Any]) -> None:
+    tree = locator(los(2, **WIDE).array, options)
+    tree.resize(100)
+    rows = [value for key, value in tree.snapshot().items() if key.endswith(ROWS)]
+    assert tree.bytes_per_slot == sum(value.nbytes for value in rows) / 100
+
+
+def test_bytes_of_a_slot_table_are_at_least_what_is_kept() -> None:
+    table = SlotTable(max_ues=1000)
+    table.assign(np.arange(1000, dtype=np.uint64), np.zeros(1000, np.int64))
+    kept = sum(value.nbytes for value in vars(table).values() if isinstance(value, np.ndarray))
+    assert 500 * table.bytes_per_slot < kept <= 1100 * table.bytes_per_slot

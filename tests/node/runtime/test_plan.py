@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -130,3 +131,28 @@ def test_two_sinks_on_one_endpoint_are_a_mistake(tmp_path: Path) -> None:
     assert check(load(config)) == [
         f'"publisher" and "publisher" cannot both listen on ipc://{tmp_path}/chart'
     ]
+
+
+def test_more_ues_than_memory_holds_are_refused_with_what_fits() -> None:
+    array = replace(small_array(), antennas=256, subcarriers=64)
+    [problem] = estimator_problems(array, Options(theta="music", rho="music", max_ues=10**9))
+    assert re.search(
+        r"max_ues = 1000000000 takes \d+\.\d GiB of memory \(5\d\d KiB a UE: music and music of", problem
+    )
+    most = int(problem.rpartition(" ")[2])
+    assert estimator_problems(array, Options(theta="music", rho="music", max_ues=most)) == []
+    assert estimator_problems(array, Options(theta="music", rho="music", max_ues=most + 1)) != []
+
+
+def test_blocks_fit_into_a_message() -> None:
+    def planned(antennas: int, subcarriers: int) -> Plan:
+        settings = load(None, [f"array.antennas={antennas}", f"array.subcarriers={subcarriers}"])
+        return Plan.of(settings)
+
+    assert planned(32, 32).block_frames == 64
+    large = planned(1024, 4096)
+    assert large.block_frames * 8 * 1024 * 4096 <= 256 * 2**20
+    assert not any("a frame of" in problem for problem in estimator_problems(large.array, large.estimator))
+    larger = replace(large.array, subcarriers=2**16)
+    [problem] = [p for p in estimator_problems(larger, large.estimator) if "a frame of" in p]
+    assert "1024 antennas x 65536 subcarriers is larger than 256 MiB" in problem
