@@ -23,9 +23,11 @@ from rich.logging import RichHandler
 
 from chachart.config.load import load
 from chachart.config.shipped import PLAY
+from chachart.node.commands.shared.charting import methods_for
 from chachart.node.commands.shared.cli import Parser, complete
 from chachart.node.data.errors import EX_CONFIG, SetupError
 from chachart.node.data.version import build
+from chachart.node.files.recording import RecordingReader
 from chachart.node.runtime import logs
 from chachart.node.runtime.node import Node
 from chachart.node.runtime.panel import line, panel, summary_lines
@@ -51,7 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         config, changes = options.config, options.set
         if options.recording is not None:
-            config = config or PLAY
+            if config is None:
+                config, changes = PLAY, [*_methods(options.recording), *changes]
             changes = ["source.type=recording", f"source.path={json.dumps(str(options.recording))}", *changes]
         if options.resume:
             changes = [*changes, "state.resume=true"]
@@ -66,6 +69,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SetupError as error:
         print(error, file=sys.stderr)
         return EX_CONFIG
+
+
+def _methods(recording: Path) -> list[str]:
+    """Changes that choose methods which a recording allows, where it does not allow the usual ones."""
+    reader = RecordingReader(recording)
+    theta, rho, why = methods_for(reader.array, reader.facts)
+    if not why:
+        return []
+    log.info("theta by %s, rho by %s: %s", theta, rho, why)
+    return [f"estimator.theta={theta}", f"estimator.rho={rho}"]
 
 
 def _parser() -> Parser:
