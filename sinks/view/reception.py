@@ -27,6 +27,7 @@ from chachart.sinks.plain import encoded
 from chachart.sinks.view.curve import CurveKeeper
 from chachart.sinks.view.frames import describe, encode_frame
 from chachart.sinks.view.hub import Hub, Viewer
+from chachart.sinks.view.plan import FloorPlan
 from chachart.sinks.web.connection import WebConnection
 
 TRY_AGAIN = 1013
@@ -46,8 +47,10 @@ class Reception:
         So many may be there at the same time.
     page_id
         Changes with the page's files, so that a page left open loads itself anew after an upgrade.
-    names
-        Of UEs, for people.
+    plan
+        What lies under the chart.
+    told
+        What else every viewer is told when it comes.
     """
 
     def __init__(
@@ -57,14 +60,16 @@ class Reception:
         curve: CurveKeeper,
         max_viewers: int,
         page_id: str,
-        names: Mapping[int, str],
+        plan: FloorPlan,
+        told: Mapping[str, Any],
     ) -> None:
         self._hub = hub
         self._operations = operations
         self._curve = curve
         self._max_viewers = max_viewers
         self._page_id = page_id
-        self._names = {str(ue): name for ue, name in names.items()}
+        self._plan = plan
+        self._told = told
 
     async def welcome(self, connection: WebConnection) -> None:
         """One viewer, from coming to going."""
@@ -94,8 +99,10 @@ class Reception:
                 "may_steer": role >= Role.STEERER,
                 "array": self._hub.array.as_dict(),
                 "places": _places(self._hub.array),
+                "pose": _pose(self._hub.array),
+                "plan": self._plan.describe(),
                 "columns": describe(),
-                "names": self._names,
+                **self._told,
                 "methods": {"theta": get_args(ThetaMethod), "rho": get_args(RhoMethod)},
                 "rate_hz": self._hub.rate_hz,
                 **self._hub.past(),
@@ -121,6 +128,10 @@ class Reception:
             return {}
         if asked == {"op": "curve"}:
             return await self._curve.get()
+        if asked.get("op") == "plan":
+            if role < Role.STEERER:
+                raise RequestError("who may only read changes no plan")
+            return await asyncio.to_thread(self._plan.change, asked, id(viewer))
         if asked.get("op") == "past":
             return await asyncio.to_thread(self._look_back, viewer, asked.get("ago_s"))
         if asked.get("op") == "stream" and type(asked.get("on")) is bool:
@@ -149,3 +160,11 @@ def _places(array: ArrayGeometry) -> list[list[float]] | None:
     spread = np.ptp(own, axis=0)
     places: list[list[float]] = own[:, [0, 1 if spread[1] >= spread[2] else 2]].round(4).tolist()
     return places
+
+
+def _pose(array: ArrayGeometry) -> dict[str, Any]:
+    """Where the array is on the chart, the direction of its row, and where it looks."""
+    if array.is_line:
+        return {"at": [0.0, 0.0], "along": [0.0, 1.0], "normal": [1.0, 0.0], "world": False}
+    at, along, normal = (v[:2].round(4).tolist() for v in (array.centre_m, array.right, array.normal))
+    return {"at": at, "along": along, "normal": normal, "world": True}

@@ -31,6 +31,7 @@ from chachart.sinks.view.curve import CurveKeeper
 from chachart.sinks.view.history import History
 from chachart.sinks.view.hub import Hub, report
 from chachart.sinks.view.names import load_names
+from chachart.sinks.view.plan import FloorPlan
 from chachart.sinks.view.reception import Reception
 from chachart.sinks.web.answers import JSON, Answer, Query, Route
 from chachart.sinks.web.server import WebServer
@@ -61,6 +62,10 @@ class ViewSettings(WebSettings):
     """The last minutes of the chart are kept within so many bytes, for viewers to look back; 0 keeps none."""
     names: Path | None = Field(None, validate_default=False)
     """A CSV file with names of UEs: number or MAC address, then the name."""
+    plan_folder: Path = Field(Path("."), validate_default=False)
+    """Where a floor plan that a viewer puts under the chart is kept: `plan.image` and `plan.json`."""
+    heading_deg: float | None = Field(None, ge=-360, le=360)
+    """Which way the chart's x axis looks, clockwise from north, for a compass; not set: none is drawn."""
 
 
 class View(WebSink):
@@ -88,10 +93,18 @@ class View(WebSink):
         names = load_names(self.settings.names) if self.settings.names else {}
         self._hub = Hub(self.array, node, self.settings.rate_hz, self._history)
         operations = Operations(node, self.settings.record_folder)
+        plan = FloorPlan(self.settings.plan_folder)
         page_id = hashlib.sha256(b"".join(self._pages.values())).hexdigest()[:16]
         curve = CurveKeeper(node, self.array)
-        reception = Reception(self._hub, operations, curve, self.settings.max_viewers, page_id, names)
-        kept: dict[str, Route] = {"GET /recordings": partial(_download, operations)}
+        told = {
+            "names": {str(ue): name for ue, name in names.items()},
+            "heading_deg": self.settings.heading_deg,
+        }
+        reception = Reception(self._hub, operations, curve, self.settings.max_viewers, page_id, plan, told)
+        kept: dict[str, Route] = {
+            "GET /recordings": partial(_download, operations),
+            "GET /plan": lambda _: Answer(*plan.image()),
+        }
         return WebServer(
             self.settings,
             {**self._page_routes(), **_control_routes(operations), **kept, **routes},

@@ -29,8 +29,8 @@ export function themeColours() {
 
 export const font = (ratio, size = 11) => `${size * ratio}px system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", "DejaVu Sans", sans-serif`;
 
-/** One pane of the chart: grid, ticks in metres, the array, a title. */
-export function drawPane(context, pane, colours, ratio) {
+/** One pane of the chart: grid, ticks in metres, the array with where it looks, a scale bar, a title. */
+export function drawPane(context, pane, colours, ratio, pose) {
   const { left, top, right, bottom, scale, x0, y0 } = pane;
   const xs = ticks((left - x0) / scale, (right - x0) / scale, (right - left) / (90 * ratio));
   const ys = ticks((y0 - bottom) / scale, (y0 - top) / scale, (bottom - top) / (70 * ratio));
@@ -63,8 +63,10 @@ export function drawPane(context, pane, colours, ratio) {
     const at = y0 - y * scale;
     if (at > top + 5 * ratio && at < bottom - 2 * ratio) context.fillText(tickText(y, ys), left - 6 * ratio, at);
   }
-  labels(context, pane, ratio);
-  drawArray(context, pane, colours, ratio);
+  labels(context, pane, ratio, pose);
+  drawArray(context, pane, colours, ratio, pose);
+  scaleBar(context, pane, colours, ratio);
+  if (Number.isFinite(pose?.heading_deg)) compass(context, pane, colours, ratio, pose.heading_deg);
   if (pane.title) {
     context.font = `600 ${font(ratio, 12)}`;
     context.fillStyle = colours.text;
@@ -75,21 +77,68 @@ export function drawPane(context, pane, colours, ratio) {
   context.restore();
 }
 
-function labels(context, { left, top, right, bottom, labelled }, ratio) {
+function labels(context, { left, top, right, bottom, labelled }, ratio, pose) {
   context.textAlign = 'center';
   context.textBaseline = 'bottom';
-  context.fillText('x, along broadside (m)', (left + right) / 2, bottom + 32 * ratio);
+  context.fillText(pose?.world ? 'x (m)' : 'x, along broadside (m)', (left + right) / 2, bottom + 32 * ratio);
   if (!labelled) return;
   context.save();
   context.translate(left - 56 * ratio, (top + bottom) / 2);
   context.rotate(-Math.PI / 2);
   context.textBaseline = 'top';
-  context.fillText('y, along the array (m)', 0, 0);
+  context.fillText(pose?.world ? 'y (m)' : 'y, along the array (m)', 0, 0);
   context.restore();
 }
 
-function drawArray(context, { left, top, right, bottom, x0, y0 }, colours, ratio) {
-  if (x0 < left || x0 > right || y0 < top || y0 > bottom) return;
+/** The array as a row of dots, and faint lines 60° to both sides of where it looks. */
+function drawArray(context, { left, top, right, bottom, x0, y0, scale }, colours, ratio, pose) {
+  const { at = [0, 0], along = [0, 1], normal = [1, 0] } = pose ?? {};
+  const [x, y] = [x0 + at[0] * scale, y0 - at[1] * scale];
+  if (x < left || x > right || y < top || y > bottom) return;
+  context.save();
+  context.beginPath();
+  context.rect(left, top, right - left, bottom - top);
+  context.clip();
+  context.strokeStyle = colours.quiet;
+  context.globalAlpha = 0.35;
+  context.setLineDash([4 * ratio, 6 * ratio]);
+  const facing = Math.hypot(...normal) > 0.2 ? Math.atan2(normal[1], normal[0]) : null;
+  context.beginPath();
+  for (const side of facing === null ? [] : [-1, 1]) {
+    const angle = facing + (side * Math.PI) / 3;
+    context.moveTo(x, y);
+    context.lineTo(x + Math.cos(angle) * 3000 * ratio, y - Math.sin(angle) * 3000 * ratio);
+  }
+  context.stroke();
+  context.restore();
   context.fillStyle = colours.text;
-  for (let i = -2; i <= 2; i++) context.fillRect(x0 - 1.5 * ratio, y0 + i * 4 * ratio - 1.5 * ratio, 3 * ratio, 3 * ratio);
+  for (let i = -2; i <= 2; i++) context.fillRect(x + along[0] * i * 4 * ratio - 1.5 * ratio, y - along[1] * i * 4 * ratio - 1.5 * ratio, 3 * ratio, 3 * ratio);
+}
+
+function scaleBar(context, { left, bottom, scale }, colours, ratio) {
+  const rough = (90 * ratio) / scale;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const length = [5, 2, 1].find((m) => m * power <= rough) * power;
+  const [x, y] = [left + 12 * ratio, bottom - 12 * ratio];
+  context.fillStyle = colours.text;
+  context.fillRect(x, y, length * scale, 2 * ratio);
+  for (const end of [x, x + length * scale - ratio]) context.fillRect(end, y - 3 * ratio, ratio, 8 * ratio);
+  context.textAlign = 'left';
+  context.textBaseline = 'bottom';
+  context.fillText(length >= 1000 ? `${length / 1000} km` : `${Number(length.toPrecision(1))} m`, x, y - 4 * ratio);
+}
+
+/** An arrow to the north; `heading` is that of the chart's x axis, clockwise from north, in degrees. */
+function compass(context, { right, top }, colours, ratio, heading) {
+  context.save();
+  context.translate(right - 24 * ratio, top + 26 * ratio);
+  context.rotate(((90 - heading) * Math.PI) / 180);
+  context.fillStyle = colours.text;
+  context.beginPath();
+  for (const [x, y] of [[0, -14], [6, 8], [0, 4], [-6, 8]]) context.lineTo(x * ratio, y * ratio);
+  context.fill();
+  context.textAlign = 'center';
+  context.textBaseline = 'middle';
+  context.fillText('N', 0, 16 * ratio);
+  context.restore();
 }

@@ -10,6 +10,7 @@ import { List } from './list.js';
 import { Names } from './names.js';
 import { number, showHistory, showNode, showQuality, showQualityAgainstK, showQualityOverTime, showSpectra, showUser } from './panels.js';
 import { Picture } from './picture.js';
+import { Plan } from './plan.js';
 import { Recordings } from './recordings.js';
 import { Replay } from './replay.js';
 import { Stream } from './stream.js';
@@ -25,6 +26,8 @@ picture.names = names;
 const waterfall = new Waterfall();
 const list = new List(world, names, (ue) => select(ue));
 const history = new History(stream, () => pill(), toast);
+const plan = new Plan(stream, () => picture.touch(true), toast);
+picture.plan = plan;
 const recordings = new Recordings(stream);
 const replay = new Replay(stream, () => {
   world.clear();
@@ -89,6 +92,8 @@ stream.addEventListener('hello', ({ detail }) => {
   hello = detail;
   world.describe(hello.columns);
   names.take(hello.names);
+  plan.take(hello.plan);
+  picture.pose = { ...hello.pose, heading_deg: hello.heading_deg };
   const { array } = hello;
   $('array').textContent = `${array.name} · ${array.antennas} antennas · ${array.subcarriers} subcarriers · ${number(array.carrier_hz / 1e9)} GHz`;
   document.title = `${array.name} · chachart`;
@@ -332,6 +337,7 @@ $('follow').addEventListener('change', () => {
 });
 const clicks = {
   ues: () => list.show(),
+  plan: () => plan.show(),
   pause, record, png, csv, theme: () => theme(dark() ? 'light' : 'dark'), reset: () => picture.fit(), close: () => select(null),
   in: () => picture.view.zoom(1.4), out: () => picture.view.zoom(1 / 1.4), help: () => $('keys').showModal(), cancel: () => $('recording').close(),
 };

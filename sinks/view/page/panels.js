@@ -77,10 +77,10 @@ export function showQuality(report) {
   facts(element('qualityfacts'), !report ? [] : [
     ['Trustworthiness', shares(report.tw), { unit: `K = ${report.k}`, kind: 'big' }],
     ['Continuity', shares(report.ct), { unit: `${number(report.ues)} UEs`, kind: 'big' }],
-    ['Error as it is, median', number(report.error_m), { unit: 'm' }],
+    ['Error as it is, median', number(report.error_m), { unit: 'm', kind: 'long' }],
     ['90 %', number(report.error_p90_m), { unit: 'm' }],
     ['Mean', number(report.error_mean_m), { unit: 'm' }],
-    ['After the best fit', number(report.fit_error_m), { unit: 'm' }],
+    ['After the best fit', number(report.fit_error_m), { unit: 'm', kind: 'long' }],
     ...(report.warnings ?? []).map((words) => ['Beware', words]),
     ['Stress', number(report.stress)],
   ]);
@@ -126,6 +126,7 @@ export function showUser(world, row, array, names, paths) {
     ['SNR', world.snr[row].toFixed(1).replace('-', '−'), { unit: 'dB' }],
     ['Frames', number(Math.round(world.snapshots[row] * 10) / 10), { unit: 'effective' }],
     ['Last heard', `${Math.max(age, 0).toFixed(1)}`, { unit: 's ago' }],
+    ...(angle === 'theta' ? [['Off broadside', `${number(90 - world.theta[row] * DEGREES, 3)}°`]] : []),
     ['Error', truth ? number(world.error(row)) : '–', { unit: truth ? 'm' : 'no truth' }],
   ]);
   if (!truth) return {};

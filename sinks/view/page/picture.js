@@ -147,7 +147,10 @@ export class Picture {
     if (this.stale) {
       this.context.fillStyle = this.colours.plot;
       this.context.fillRect(0, 0, this.canvas.width, this.canvas.height);
-      for (const pane of panes) drawPane(this.context, { ...pane, title: titles.length > 1 ? pane.title : '' }, this.colours, ratio);
+      for (const pane of panes) {
+        this.plan?.draw(this.context, pane);
+        drawPane(this.context, { ...pane, title: titles.length > 1 ? pane.title : '' }, this.colours, ratio, this.pose);
+      }
       this.scatter.begin();
     }
     const { scatter, world } = this;

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from browser import DRAWN, browse, wait
 from live_node import LiveNode, free_port, until
+from PIL import Image
 from playwright.sync_api import Page
 
 PLACE = """(row) => {
@@ -213,3 +214,38 @@ def test_names_lists_and_looking_back(tmp_path: Path) -> None:
         page.wait_for_selector("#link[data-state=live]")
         wait(page, "newest => chachart.world.newest > newest", newest)
         assert complaints == []
+
+
+def test_a_plan_lies_under_the_chart(tmp_path: Path) -> None:
+    picture = tmp_path / "hall.png"
+    Image.new("RGB", (300, 200), "orange").save(picture)
+    port = free_port()
+    sinks = f'[[sinks]]\ntype = "view"\nport = {port}\nheading_deg = 45'
+    with LiveNode(tmp_path, sinks) as node, browse(f"http://127.0.0.1:{port}/") as (page, complaints):
+        all_there(page)
+        page.click("#plan")
+        page.set_input_files("#planfile", picture)
+        page.wait_for_selector("#planview:not([hidden])")
+        page.click("#planview", position={"x": 10, "y": 190})
+        page.click("#planview", position={"x": 290, "y": 10})
+        for field, value in (("0x", "0"), ("0y", "-500"), ("1x", "600"), ("1y", "500")):
+            page.fill(f"#anchor{field}", value)
+        page.click("#plankeep")
+        wait(page, "chachart.picture.plan.anchors !== null")
+        page.reload()
+        all_there(page)
+        wait(page, "chachart.picture.plan.image !== null && chachart.picture.plan.anchors !== null")
+        page.wait_for_timeout(300)
+        orange = """() => {
+            const { picture } = window.chachart;
+            const pane = picture.view.panes(window.devicePixelRatio).at(-1);
+            const [x, y] = [pane.x0 + 4 * pane.scale + 300 * pane.scale, pane.y0 - 3 * pane.scale];
+            const seen = new Set();
+            for (let dx = 0; dx < 40; dx++) {
+                const [r, g, b] = picture.context.getImageData(x + dx, y, 1, 1).data;
+                seen.add(r > b + 60);
+            }
+            return seen.has(true);
+        }"""
+        wait(page, f"({orange})()")
+        assert [text for text in complaints if "willReadFrequently" not in text] == []
