@@ -221,7 +221,7 @@ def test_a_plan_lies_under_the_chart(tmp_path: Path) -> None:
     Image.new("RGB", (300, 200), "orange").save(picture)
     port = free_port()
     sinks = f'[[sinks]]\ntype = "view"\nport = {port}\nheading_deg = 45'
-    with LiveNode(tmp_path, sinks) as node, browse(f"http://127.0.0.1:{port}/") as (page, complaints):
+    with LiveNode(tmp_path, sinks), browse(f"http://127.0.0.1:{port}/") as (page, complaints):
         all_there(page)
         page.click("#plan")
         page.set_input_files("#planfile", picture)
