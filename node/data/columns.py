@@ -127,6 +127,14 @@ _ALL = (
     Column(
         "elevation_std", "float64", "± elevation", "Standard deviation of elevation.", "rad", 6, optional=True
     ),
+    Column(
+        "relative",
+        "int64",
+        "relative",
+        "1 where distances have no scale: rho, x and y are then no metres.",
+        decimals=0,
+        optional=True,
+    ),
     Column("rho_std", "float64", "± ρ", "Standard deviation of rho.", "m", optional=True),
     Column("delay_spread", "float64", "delay spread", "Rms over the paths.", "s", 10, optional=True),
     Column("x", "float64", "x", "Towards a line's broadside; in the world for other arrays.", "m"),

@@ -89,6 +89,11 @@ class Isq(SlotState):
         self._total, self._count = 0.0, 0
 
     @property
+    def relative(self) -> bool:
+        """Whether there is no scale yet: ranges are then right but for a factor, the same for all UEs."""
+        return self._fixed is None and not self._count
+
+    @property
     def scale(self) -> float:
         """rho sqrt(s)."""
         if self._fixed is not None:
@@ -113,6 +118,7 @@ class Lr(SlotState):
     """
 
     SHARED = ("_trained", "_sums")
+    relative = False
 
     def __init__(self, train_ues: int, log_range: bool) -> None:
         self.train_ues, self.log_range = train_ues, log_range

@@ -314,16 +314,21 @@ class ChartEstimator:
     def _chart_xy(self, at: Columns) -> tuple[NDArray[Any], NDArray[Any]]:
         """Chart coordinates; of arrays that are no line world metres, and z among the columns.
 
-        Directions alone lie on a circle of radius 1, or where they meet the plane of the UEs.
+        Distances without a scale are neither projected nor have they a place in the world. Directions alone
+        lie on a circle of radius 1, or where they meet the plane of the UEs.
         """
-        theta, rho = at["theta"], at["rho"]
+        theta, rho, line = at["theta"], at["rho"], self.array.is_line or "direction" not in at
         alone = self.options.rho == NONE
-        if self.array.is_line or "direction" not in at:
-            return (np.sin(theta), np.cos(theta)) if alone else self.array.chart_xy(theta, rho)
-        if alone and self.array.height_m is not None and "elevation" in at:
+        if not line and alone and self.array.height_m is not None and "elevation" in at:
             rho = np.full(len(rho), np.nan)
-        elif alone:
-            return at["direction"] @ self.array.frame[:, 0], at["direction"] @ self.array.frame[:, 1]
+            del at["relative"]
+        elif "relative" in at and line:
+            return rho * np.sin(theta), rho * np.cos(theta)
+        elif "relative" in at:
+            x, y = (at["direction"] @ self.array.frame[:, :2]).T * rho
+            return x, y
+        if line:
+            return self.array.chart_xy(theta, rho)
         x, y, at["z"] = self.array.world_of(at["direction"], rho).T
         return x, y
 

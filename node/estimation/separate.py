@@ -97,7 +97,7 @@ class SeparateLocator(Locator):
         sums = {name: taker.take(group, features.kept[name]) for name, taker in self._takers.items()}
         if self._amplitudes and self._level is None:
             sums["power"] = self._power.add(group, np.asarray(features.energy, np.float64))
-        count = len(group)
+        count, relative = len(group), False
         at: Columns = {}
         for axis in (self._rho, self._level, self._theta):
             if axis is not None and axis.name not in at:
@@ -114,8 +114,12 @@ class SeparateLocator(Locator):
             s = self._amplitude.estimate(sums["amplitude"], weight, power)
             known_rho = self._array.theta_rho(position)[1]
             at["rho"], at["rho_std"] = self._ranging.ranges(group.slots, s, known_rho)
+            relative = self._ranging.relative
         elif self._rho is None:
             at["rho"], at["rho_std"] = (np.full(count, value) for value in NO_RHO)
+            relative = True
+        if relative:
+            at["relative"] = np.ones(count, np.int64)
         return at
 
     def _signal(self, level: SpectralAxis, group: Grouping, weight: Floats, frames: Floats) -> Floats:

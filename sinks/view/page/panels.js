@@ -114,15 +114,16 @@ const decibels = (values) => {
 export function showUser(world, row, array, names, paths) {
   const truth = Number.isFinite(world.true_x[row]);
   const age = (world.now() - world.time[row]) / 1000;
+  const relative = Boolean(world.relative?.[row]);
   const angle = Number.isFinite(world.azimuth?.[row]) ? 'azimuth' : 'theta';
   const called = names.of(world.ue[row]);
   element('username').textContent = called === `${world.ue[row]}` ? `UE ${called}` : `${called} · UE ${world.ue[row]}`;
   facts(element('userfacts'), [
     [angle === 'azimuth' ? 'azimuth' : 'θ', `${number(world[angle][row] * DEGREES, 4)}°`, { unit: `± ${number(world[`${angle}_std`][row] * DEGREES, 2)}°`, kind: 'big' }],
-    ['ρ', number(world.rho[row], 4), { unit: `± ${number(world.rho_std[row], 2)} m`, kind: 'big' }],
+    ['ρ', number(world.rho[row], 4), { unit: relative ? 'without scale' : `± ${number(world.rho_std[row], 2)} m`, kind: 'big' }],
     ...(paths > 1 ? [['± holds for', `one path, there are ${paths}`, { kind: 'long warn' }]] : []),
-    ['x', number(world.x[row], 4), { unit: 'm' }],
-    ['y', number(world.y[row], 4), { unit: 'm' }],
+    ['x', number(world.x[row], 4), { unit: relative ? '' : 'm' }],
+    ['y', number(world.y[row], 4), { unit: relative ? '' : 'm' }],
     ['SNR', world.snr[row].toFixed(1).replace('-', '−'), { unit: 'dB' }],
     ['Frames', number(Math.round(world.snapshots[row] * 10) / 10), { unit: 'effective' }],
     ['Last heard', `${Math.max(age, 0).toFixed(1)}`, { unit: 's ago' }],

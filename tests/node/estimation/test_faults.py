@@ -155,3 +155,28 @@ def test_directions_that_look_alike_are_told_so() -> None:
     assert (at_the_end.theta_std > 1.0).all()
     abeam = estimator.update(plane_waves(array, np.radians(70.0), 8, 20.0), ue=np.arange(8, 16), time_ns=0)
     assert (abeam.theta_std < 0.01).all()
+
+
+@pytest.mark.parametrize("height_m", [None, 8.5])
+def test_isq_without_a_scale_is_relative(los: Build, truth: Build, height_m: float | None) -> None:
+    """Its distances are right but for one factor, are not projected, and say that they are no metres."""
+    world = los(20, far=True, height_m=height_m)
+    _, rho = truth(world)
+    estimator = ChartEstimator(world.array, rho="isq")
+    block = world.block(30.0, np.arange(20))
+    update = estimator.update(block.csi, ue=block.ue)
+    assert update["relative"].tolist() == [1] * 20
+    assert np.ptp(np.log(update.rho / np.sqrt(rho))) < 0.1  # s goes as 1 / rho here, rho as 1 / sqrt(s)
+    assert np.hypot(update.x, update.y) == pytest.approx(update.rho)
+    assert (update.x > 0).all()
+    scaled = estimator.update(block)  # these frames tell where the UEs are
+    assert "relative" not in scaled.columns
+    told = ChartEstimator(world.array, rho="isq", isq_reference=(100.0, 3.0)).update(block.csi, ue=block.ue)
+    assert "relative" not in told.columns
+
+
+def test_directions_alone_are_relative(los: Build) -> None:
+    world = los(5, height_m=8.5)
+    update = ChartEstimator(world.array, rho="none").update(world.block(20.0, np.arange(5)))
+    assert update["relative"].tolist() == [1] * 5
+    assert np.hypot(update.x, update.y) == pytest.approx(1.0)
