@@ -47,6 +47,10 @@ class SimulatorSettings(SourceSettings):
     """How many UEs."""
     ue_height_m: float = UE_HEIGHT_M
     """Height of the UEs above the ground (world z)."""
+    ue_highest_m: float | None = None
+    """UEs are at random heights from ue_height_m up to this; not set: all at ue_height_m."""
+    area_m: tuple[float, float, float, float] = (100.0, 600.0, -500.0, 500.0)
+    """Where: nearest and farthest ahead of the array, then from and to along its axis."""
     channel: ChannelName = "los"
     """`los`, a spherical wave; `qlos` and `qnlos`, urban macro cells with and without line of sight."""
     exponent: float = Field(1.0, ge=0, le=8)
@@ -105,7 +109,12 @@ class Simulator(Source):
 
     @classmethod
     def problems(cls, settings: SimulatorSettings) -> list[str]:
-        """More UEs than multipath channels can be kept of."""
+        """More UEs than multipath channels can be kept of, or an area or heights that are none."""
+        x0, x1, y0, y1 = settings.area_m
+        if x0 >= x1 or y0 >= y1:
+            return [f"area_m = {list(settings.area_m)}: must be nearest < farthest, then from < to"]
+        if settings.ue_highest_m is not None and settings.ue_highest_m < settings.ue_height_m:
+            return [f"ue_highest_m = {settings.ue_highest_m:g}: must be at least ue_height_m"]
         if settings.channel != "los" and settings.ues > MAX_UES:
             return [f"ues = {settings.ues}: {settings.channel} channels take at most {MAX_UES}"]
         return []
@@ -133,10 +142,11 @@ class Simulator(Source):
                 f"at most {max(1, _BLOCK_BYTES // frame_bytes)} frames fit {_BLOCK_BYTES >> 20} MiB"
             )
         self._begin()
-        start = place(s.layout, s.ues, self.array, s.seed, s.ue_height_m)
+        area = (s.area_m[:2], s.area_m[2:])
+        start = place(s.layout, s.ues, self.array, s.seed, s.ue_height_m, area, s.ue_highest_m)
         self._motion: Motion = Static(start)
         if s.motion == "waypoint":
-            self._motion = RandomWaypoint(start, self.array, s.speed_m_s, s.seed)
+            self._motion = RandomWaypoint(start, self.array, s.speed_m_s, s.seed, area=area)
         self._channel: Channel = make_channel(s.channel, self.array, start, s.seed, s.exponent)
         self._known = s.ues if s.known_ues is None else s.known_ues
         self._noise = np.random.Generator(np.random.SFC64([s.seed, _NOISE_STREAM]))

@@ -1,8 +1,8 @@
 """Where the UEs of a scenario are.
 
 A layout is drawn in the array's own horizontal frame (x ahead of it, y along it) and then placed in the
-world, so that it lies before the array wherever that stands. All layouts keep to the area of the reference
-scenario.
+world, so that it lies before the array wherever that stands. All layouts fill the area of the reference
+scenario, or the one they are told.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from chachart.node.data.geometry import ArrayGeometry
 Floats = NDArray[np.float64]
 LayoutName = Literal["vip", "uniform", "grid"]
 
-AREA_M = ((100.0, 600.0), (-500.0, 500.0))
+Area = tuple[tuple[float, float], tuple[float, float]]
+AREA_M: Area = ((100.0, 600.0), (-500.0, 500.0))
 """Extent of every layout ahead of the array (x) and along it (y)."""
 LETTER_UES = 234
 """So many UEs draw the letters of the `vip` layout."""
@@ -26,12 +27,21 @@ UE_HEIGHT_M = 1.5
 
 _LETTER_HEIGHT_M = 280.0
 _LAYOUT_STREAM = 1
+_HEIGHT_STREAM = 6
 
 
 def place(
-    name: LayoutName, ues: int, array: ArrayGeometry, seed: int = 0, ue_height_m: float = UE_HEIGHT_M
+    name: LayoutName,
+    ues: int,
+    array: ArrayGeometry,
+    seed: int = 0,
+    ue_height_m: float = UE_HEIGHT_M,
+    area: Area = AREA_M,
+    highest_m: float | None = None,
 ) -> Floats:
     """World positions (ues, 3) in metres of a named layout, the same for the same seed.
+
+    It is scaled to `area`. Heights are `ue_height_m`, or at random between that and `highest_m`.
 
     `vip`: uniform over the area, but for the first 234 UEs, which draw the letters V, I and P (upright where
     x points right and y up). `uniform`: all at random. `grid`: a regular raster, filled along y first.
@@ -44,7 +54,18 @@ def place(
         if name == "vip":
             drawn = min(ues, LETTER_UES)
             ahead_along[:drawn] = _letters(drawn)
-    return to_world(ahead_along, array, ue_height_m)
+    world = to_world(fitted(ahead_along, area), array, ue_height_m)
+    if highest_m is not None:
+        heights = np.random.default_rng([seed, _HEIGHT_STREAM])
+        world[:, 2] = heights.uniform(ue_height_m, highest_m, ues)
+    return world
+
+
+def fitted(ahead_along: Floats, area: Area) -> Floats:
+    """Points (..., 2) of `AREA_M` moved and stretched to `area`."""
+    (low, high), (to_low, to_high) = np.transpose(AREA_M), np.transpose(area)
+    moved: Floats = to_low + (ahead_along - low) * ((to_high - to_low) / (high - low))
+    return moved
 
 
 def uniform(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:

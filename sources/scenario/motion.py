@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.data.geometry import ArrayGeometry
-from chachart.sources.scenario.layout import to_world, uniform
+from chachart.sources.scenario.layout import AREA_M, Area, fitted, to_world, uniform
 
 Floats = NDArray[np.float64]
 MotionName = Literal["static", "waypoint"]
@@ -55,14 +55,22 @@ class RandomWaypoint:
         Same seed, same walks.
     legs
         Straight lines before a walk repeats.
+    area
+        Where, ahead of the array and along it.
     """
 
     def __init__(
-        self, start: Floats, array: ArrayGeometry, speed_m_s: float, seed: int = 0, legs: int = 24
+        self,
+        start: Floats,
+        array: ArrayGeometry,
+        speed_m_s: float,
+        seed: int = 0,
+        legs: int = 24,
+        area: Area = AREA_M,
     ) -> None:
         rng = np.random.default_rng([seed, _MOTION_STREAM])
         ues = len(start)
-        corners = to_world(uniform(rng, (ues, legs - 1)), array, 0.0)
+        corners = to_world(fitted(uniform(rng, (ues, legs - 1)), area), array, 0.0)
         corners[..., 2] = start[:, None, 2]
         self._corners = np.concatenate([start[:, None], corners, start[:, None]], axis=1)
         steps = np.linalg.norm(np.diff(self._corners, axis=1), axis=2)

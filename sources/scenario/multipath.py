@@ -77,6 +77,9 @@ class MultipathChannel:
         self._start = np.asarray(start, np.float64)
         self._elements = array.element_positions()
         self._centre = self._elements.mean(axis=0)
+        # the directions in which the array extends, and its elements' places along them
+        self._ways = np.array([array.axis]) if array.is_uniform else array.frame
+        self._places = (self._elements - self._centre) @ self._ways.T
         self._fields = LargeScaleFields(statistics, rng)
         self._draws = Draws.draw(statistics, len(start), rng)
         away, distance = self._from_array(self._start)
@@ -90,13 +93,11 @@ class MultipathChannel:
         away, distance = self._from_array(position)
         large = self._fields.at(position, distance)
         clusters = scale(draws, large)
-        waves, cosine = self._clusters_at_array(ue, position, away, draws, clusters, large.cross_polar)
+        waves, ahead = self._clusters_at_array(ue, position, away, draws, clusters, large.cross_polar)
         out = self._direct(position, clusters.direct)
         metres = distance[:, None] + self.array.light_speed_m_s * clusters.delay_s
-        along = (self._elements - self._centre) @ np.array(self.array.axis)
         for c in range(metres.shape[1]):
-            path = metres[:, c] - cosine[:, c] * along[:, None]
-            out += self._over_tones(waves[:, :, c], path)
+            out += self._over_tones(waves[:, :, c], metres[:, c] - ahead[:, :, c])
         out *= np.sqrt(large.gain).astype(np.float32)
         return np.ascontiguousarray(out.transpose(2, 1, 0))
 
@@ -126,27 +127,37 @@ class MultipathChannel:
         clusters: Clusters,
         cross_polar: Floats,
     ) -> tuple[Complexes, Floats]:
-        """Amplitudes (N_R, K, L) of the clusters on each antenna, and mean cosines (K, L) to the axis."""
+        """Amplitudes (N_R, K, L) of the clusters on each antenna, and how many metres nearer each is, on
+        average over the sub-paths, than the array's middle."""
         spread = np.deg2rad(self._statistics.cluster_spread_deg)
-        axis = np.einsum("kij,j->ki", frame(away), self.array.axis).astype(np.float32)[:, :, None]
+        own = np.einsum("kij,nj->kin", frame(away), self._ways).astype(np.float32)[:, :, None]
         phase = draws.phase + self._travelled(ue, position, draws, spread)
         ratio = cross_polar[:, None, None] * 10 ** (0.1 * draws.gain_db)
         gain = (ratio / (1 + ratio)).astype(np.float32)
-        step = self.array.element_spacing_m / self.array.wavelength_m
         total = np.zeros((self.array.antennas, *clusters.power.shape), np.complex64)
-        cosine = np.zeros(clusters.power.shape)
+        mean = np.zeros((*clusters.power.shape, len(self._ways)))
         for m in range(SUB_PATHS):
             azimuth = clusters.angle[..., 0] + spread[0] * OFFSETS[draws.order[0, ..., m]]
             elevation = clusters.angle[..., 2] + spread[2] * OFFSETS[draws.order[2, ..., m]]
             x, y, z = unit_vectors(azimuth.astype(np.float32), elevation.astype(np.float32))
-            towards = (x * axis[:, 0] + y * axis[:, 1] + z * axis[:, 2]).astype(np.float64)
-            cosine += towards / SUB_PATHS
+            x, y, z = x[..., None], y[..., None], z[..., None]
+            towards = (x * own[:, 0] + y * own[:, 1] + z * own[:, 2]).astype(np.float64)
+            mean += towards / SUB_PATHS
             first = np.sqrt(gain[..., m]) * phasor(-phase[..., m])
-            total += progression(first, step * towards, self.array.antennas)
+            total += self._over_elements(first, towards)
         amplitude = np.sqrt(clusters.power * gain.mean(axis=-1)).astype(np.float32)
         size = np.maximum(np.abs(total), np.finfo(np.float32).tiny)
         total *= amplitude / size
-        return total, cosine
+        return total, np.moveaxis(mean @ self._places.T, -1, 0)
+
+    def _over_elements(self, first: Complexes, towards: Floats) -> Complexes:
+        """Plane waves (N_R, K, L), `first` at element 0, with cosines (K, L, W) to `_ways`."""
+        if self.array.is_uniform:
+            step = self.array.element_spacing_m / self.array.wavelength_m
+            return progression(first, step * towards[..., 0], self.array.antennas)
+        steps = (self._places - self._places[0]) / self.array.wavelength_m
+        cycles = np.moveaxis(towards @ steps.T, -1, 0)
+        return first * phasor(cycles)
 
     def _travelled(self, ue: NDArray[Any], position: Floats, draws: Draws, spread: Floats) -> NDArray[Any]:
         """Phase delay in cycles (K, L, M), or 0, of the sub-paths for the way from the UEs' starts."""

@@ -210,3 +210,24 @@ def test_the_whole_interface_of_settings_is_strict():
     for wrong in [{"channel": "nope"}, {"ues": 0}, {"frame_rate_hz": -1}, {"speed": 3}]:
         with pytest.raises(ValueError, match=next(iter(wrong))):
             SimulatorSettings(**wrong)
+
+
+def test_an_area_and_heights_of_ones_own():
+    block = drain(ues=500, frames=500, area_m=(2.0, 8.0, -3.0, 3.0), ue_height_m=0.5, ue_highest_m=2.0)
+    ahead, along, up = block.position.T
+    assert (ahead.min() >= 2, ahead.max() <= 8, along.min() >= -3, along.max() <= 3) == (True,) * 4
+    assert up.min() >= 0.5
+    assert up.max() <= 2
+    assert np.ptp(up) > 1.4
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"area_m": (8.0, 2.0, -3.0, 3.0)}, "nearest < farthest"),
+        ({"ue_highest_m": 0.0}, "at least ue_height_m"),
+    ],
+)
+def test_what_is_no_area_is_said(settings, says):
+    [problem] = Simulator.problems(SimulatorSettings(**settings))
+    assert says in problem

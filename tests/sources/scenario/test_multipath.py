@@ -5,7 +5,10 @@ import pytest
 from scipy.stats import ks_2samp
 
 from chachart.config.settings import ArraySettings
+from chachart.node.data.elements import grid
 from chachart.node.data.errors import SetupError
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.estimation.estimator import ChartEstimator
 from chachart.sources.scenario import multipath
 from chachart.sources.scenario.channel import channels, make_channel
 from chachart.sources.scenario.large_scale import QLOS, QNLOS
@@ -209,3 +212,39 @@ def test_slow_channels_report_progress(monkeypatch):
 def test_more_ues_than_memory_holds_are_refused():
     with pytest.raises(SetupError, match="at most 50000"):
         make_channel("qlos", ARRAY, np.zeros((50_001, 3)))
+
+
+@NAMES
+def test_elements_listed_one_by_one_hear_what_a_line_hears(name):
+    """The same line, once as such and once as elements anywhere, which are summed up another way."""
+    line = ArraySettings(antennas=6, subcarriers=4, subcarrier_spacing_hz=1e6).geometry()
+    order = [0, 5, 4, 3, 2, 1]  # so that it is not taken for a line
+    listed = ArrayGeometry.of_elements(
+        "a",
+        line.own_elements[order],
+        4,
+        line.carrier_hz,
+        1e6,
+        position_m=tuple(line.centre_m),
+        axis=line.axis,
+    )
+    position = place("uniform", 30, line)
+    np.testing.assert_allclose(
+        channels(name, position, listed, seed=2), channels(name, position, line, seed=2)[:, order], atol=2e-3
+    )
+
+
+@NAMES
+def test_a_board_sees_elevations(name):
+    """UEs above and below: the strongest beam is where the UE is, within what scattering does."""
+    array = ArrayGeometry.of_elements(
+        "board", grid(4, 4, 0.075), 8, 2e9, 1e6, position_m=(0.0, 0.0, 20.0), axis=(0.0, 1.0, 0.0)
+    )
+    area = ((20.0, 60.0), (-20.0, 20.0))
+    position = place("uniform", 300, array, area=area, highest_m=40.0)
+    assert np.ptp(position[:, 2]) > 35
+    csi = channels(name, position, array)
+    chart = ChartEstimator(array, theta="bartlett").update(csi, ue=np.arange(300))
+    truth = np.arcsin(array.towards(position)[:, 1])
+    assert np.median(np.abs(chart["elevation"] - truth)) < (0.06 if name == "qlos" else 0.2)
+    assert np.corrcoef(chart["elevation"], truth)[0, 1] > (0.9 if name == "qlos" else 0.5)
