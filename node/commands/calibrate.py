@@ -3,6 +3,7 @@
     chachart calibrate capture.mcap --ue 7 -o cal.toml                         place as in the recording
     chachart calibrate capture.mcap --ue 7 --position 120.5,-33,1.5 -o cal.toml
     chachart calibrate capture.mcap --check cal.toml                           how good is it still?
+    chachart calibrate capture.mcap --offsets reftx-offsets.json -o cal.toml   take over sto and cpo
 
 `calibration = "cal.toml"` in [array] then makes a node undo it. Swapped cables are found by comparing UEs in
 different places, known or not: the more the capture has, the surer.
@@ -19,7 +20,7 @@ import numpy as np
 
 from chachart.node.commands.shared.calibrating import Finding, check, find, read
 from chachart.node.data.errors import SetupError
-from chachart.node.files.calibration import load_calibration, save_calibration
+from chachart.node.files.calibration import load_calibration, load_offsets, save_calibration
 from chachart.node.files.recording import RecordingReader
 
 
@@ -31,6 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", type=Path, metavar="CAL.toml", help="where to write the calibration"
     )
+    parser.add_argument(
+        "--offsets", type=Path, metavar="FILE.json", help="take over sto and cpo of DICHASUS data instead"
+    )
+    parser.add_argument("--band", type=int, metavar="N", help="subcarriers of the whole band, for --offsets")
+    parser.add_argument("--channels", type=_channels, metavar="6,2,16,...", help="the array's, for --offsets")
     parser.add_argument("--check", type=Path, metavar="CAL.toml", help="only see how well this one fits")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the report as JSON")
 
@@ -43,11 +49,13 @@ def run(arguments: argparse.Namespace) -> int:
     SetupError
         If the recording does not hold what is needed, or a file cannot be read or written.
     """
-    if bool(arguments.ue) == bool(arguments.check):
-        raise SetupError("say either --ue ID, whose place is known, or --check CAL.toml")
+    if sum(map(bool, (arguments.ue, arguments.check, arguments.offsets))) != 1:
+        raise SetupError("say either --ue ID, whose place is known, --check CAL.toml or --offsets FILE.json")
     if arguments.position is not None and len(arguments.ue) > 1:
         raise SetupError("--position is the place of one UE; give --ue once")
     reader = RecordingReader(arguments.recording)
+    if arguments.offsets is not None:
+        return _take_over(arguments, reader)
     capture = read(reader, arguments.ue)
     if arguments.check is not None:
         try:
@@ -71,6 +79,18 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _take_over(arguments: argparse.Namespace, reader: RecordingReader) -> int:
+    if arguments.output is None:
+        raise SetupError("--offsets needs -o CAL.toml, where to write the calibration")
+    try:
+        calibration = load_offsets(arguments.offsets, reader.array, arguments.band, arguments.channels)
+    except ValueError as error:
+        raise SetupError(str(error)) from None
+    save_calibration(arguments.output, calibration, f"chachart calibrate --offsets {arguments.offsets.name}")
+    print(arguments.output)
+    return 0
+
+
 def show(finding: Finding, checked: bool) -> None:
     """Print the report."""
     c = finding.calibration
@@ -81,6 +101,12 @@ def show(finding: Finding, checked: bool) -> None:
             f"{n:7d} {c.antenna_order[n]:6d} {20 * np.log10(gain):9.2f} {np.degrees(phase):10.1f} "
             f"{np.degrees(before):12.1f} {np.degrees(after):11.1f}"
         )
+    if finding.wrong is not None:
+        told = "" if checked else "; the calibration puts it right, a better [array] would, too"
+        print(f"the array is not as described: {finding.wrong}{told}")
+    if c.antenna_delay_s:
+        late = 1e9 * np.array(c.antenna_delay_s)
+        print("delays in ns: " + " ".join(f"{delay:.2f}" for delay in late))
     for cycle in finding.swapped:
         names = " and ".join(map(str, cycle)) if len(cycle) == 2 else " -> ".join(map(str, cycle))
         verb = "are swapped" if len(cycle) == 2 else "are connected in a circle"
@@ -89,13 +115,14 @@ def show(finding: Finding, checked: bool) -> None:
         print(f"antennas {names} {verb}{told}{doubt}")
     for n in finding.suspects:
         print(f"antenna {n} is {np.degrees(finding.after_rad[n]):.0f} deg off: a bad cable or element?")
-    if not finding.swapped and not finding.suspects:
+    if not finding.swapped and not finding.suspects and finding.wrong is None:
         print("no antenna stands out")
 
 
 def as_json(finding: Finding) -> dict[str, Any]:
     """The report as plain values."""
     return {
+        "wrong": finding.wrong,
         "swapped": [list(cycle) for cycle in finding.swapped],
         "sure": finding.sure,
         "suspects": finding.suspects,
@@ -113,6 +140,13 @@ def _position(text: str) -> tuple[float, float, float]:
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text} is not X,Y,Z in metres") from None
     return x, y, z
+
+
+def _channels(text: str) -> tuple[int, ...]:
+    try:
+        return tuple(int(word) for word in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text} is not a list of channel numbers") from None
 
 
 def _ue(text: str) -> int:

@@ -15,8 +15,8 @@ class Calibration:
     """Order and response of the antennas, and response of the subcarriers.
 
     What a front-end measures at its input m on subcarrier k is `antenna[n] * subcarrier[k]` times the true
-    channel of element n, where m = `antenna_order[n]`. Each response is a gain (amplitude) and a phase; a
-    delay common to all antennas is a linear phase across the subcarriers.
+    channel of element n, where m = `antenna_order[n]`, later by `antenna_delay_s[n]`. Each response is a gain
+    (amplitude) and a phase; a delay common to all antennas is a linear phase across the subcarriers.
 
     Parameters
     ----------
@@ -26,6 +26,8 @@ class Calibration:
         Response of each element's way to the receiver.
     subcarrier_gain, subcarrier_phase_rad
         Response common to all antennas, per subcarrier.
+    antenna_delay_s
+        How much later each element's way is than the common one; empty: none is.
 
     Raises
     ------
@@ -38,6 +40,7 @@ class Calibration:
     antenna_phase_rad: tuple[float, ...]
     subcarrier_gain: tuple[float, ...]
     subcarrier_phase_rad: tuple[float, ...]
+    antenna_delay_s: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         antennas, subcarriers = len(self.antenna_order), len(self.subcarrier_gain)
@@ -48,6 +51,7 @@ class Calibration:
             ("antenna_phase_rad", antennas),
             ("subcarrier_gain", subcarriers),
             ("subcarrier_phase_rad", subcarriers),
+            ("antenna_delay_s", antennas if self.antenna_delay_s else 0),
         ):
             values = np.asarray(getattr(self, name), np.float64)
             if len(values) != expected:
@@ -63,14 +67,16 @@ class Calibration:
         antenna_order: NDArray[Any] | tuple[int, ...],
         antenna: NDArray[np.complex128],
         subcarrier: NDArray[np.complex128],
+        delay_s: NDArray[np.float64] | None = None,
     ) -> Self:
-        """From complex responses: `antenna` (N_R,) by element, `subcarrier` (N_S,)."""
+        """From complex responses: `antenna` (N_R,) by element, `subcarrier` (N_S,); and delays (N_R,)."""
         return cls(
             tuple(int(m) for m in antenna_order),
             tuple(np.abs(antenna).tolist()),
             tuple(np.angle(antenna).tolist()),
             tuple(np.abs(subcarrier).tolist()),
             tuple(np.angle(subcarrier).tolist()),
+            () if delay_s is None else tuple(delay_s.tolist()),
         )
 
     @classmethod
@@ -90,12 +96,23 @@ class Calibration:
         """N_S."""
         return len(self.subcarrier_gain)
 
-    def corrector(self) -> Corrector:
-        """What undoes it."""
+    def corrector(self, offset_hz: NDArray[np.float64] | None = None) -> Corrector:
+        """What undoes it; where antennas have delays, for subcarriers at `offset_hz` (N_S,) from the carrier.
+
+        Raises
+        ------
+        ValueError
+            If there are delays and no offsets.
+        """
         antenna = np.asarray(self.antenna_gain) * np.exp(1j * np.asarray(self.antenna_phase_rad))
         subcarrier = np.asarray(self.subcarrier_gain) * np.exp(1j * np.asarray(self.subcarrier_phase_rad))
         order = np.asarray(self.antenna_order, np.intp)
-        weights = (1 / (antenna[:, None] * subcarrier)).astype(np.complex64)
+        response = antenna[:, None] * subcarrier
+        if self.antenna_delay_s:
+            if offset_hz is None:
+                raise ValueError("delays of antennas need the subcarriers' offsets from the carrier")
+            response = response * np.exp(-2j * np.pi * np.outer(self.antenna_delay_s, offset_hz))
+        weights = (1 / response).astype(np.complex64)
         return Corrector(None if (order == np.arange(len(order))).all() else order, weights)
 
     def apply(self, csi: NDArray[np.complex64]) -> NDArray[np.complex64]:
@@ -104,7 +121,10 @@ class Calibration:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values; `from_dict` reads them back."""
-        return {name: list(values) for name, values in asdict(self).items()}
+        kept = {name: list(values) for name, values in asdict(self).items()}
+        if not self.antenna_delay_s:
+            del kept["antenna_delay_s"]  # as in files from before they were known
+        return kept
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:

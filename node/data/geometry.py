@@ -190,6 +190,11 @@ class ArrayGeometry(Pose):
         return self.carrier_hz + self.tone_numbers.astype(np.float64) * self.subcarrier_spacing_hz
 
     @property
+    def offsets_hz(self) -> FloatArray:
+        """Frequencies (subcarriers,) of the subcarriers, less that of tone 0."""
+        return self.tone_numbers.astype(np.float64) * self.subcarrier_spacing_hz
+
+    @property
     def live_antennas(self) -> NDArray[np.bool_]:
         """Which elements count, (antennas,)."""
         return _without(self.antennas, self.dead_antennas)

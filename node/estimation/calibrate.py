@@ -9,6 +9,7 @@ the reference.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from scipy.optimize import linear_sum_assignment
 
 from chachart.node.data.calibration import Calibration
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.estimation.directions.axis import manifold_of
+from chachart.node.estimation.symmetries import symmetries
 
 Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
@@ -26,6 +29,12 @@ ROUNDS = 5
 FFT_FACTOR = 16
 MIN_SPREAD_RAD = np.radians(10.0)
 """Phase errors are never taken to be smaller than this when one place has to do."""
+SYMMETRY_MARGIN = 0.05
+"""By so much more of the phasors' sum must a mirrored or turned array explain."""
+SURE_DELAY = 6.0
+"""Delays of single antennas are believed when one is so many deviations from the mean."""
+LEAST_TONES = 4
+"""Subcarriers that it takes to tell delays of single antennas."""
 MARGIN = 5.0
 """Log likelihood by which a swap must then beat chance: wrong in 1 of 100 arrays of 32 with 30 deg errors."""
 
@@ -60,6 +69,10 @@ def signatures(covariance: NDArray[Any]) -> Complex:
 
 def plane_waves(array: ArrayGeometry, phasors: Complex) -> Complex:
     """The plane wave (P, N) that fits each row of `phasors` (P, N) best; unit phasors."""
+    if not array.is_uniform:
+        manifold = manifold_of(replace(array, dead_antennas=()))
+        x = phasors[:, :, None]
+        return manifold.steering(manifold.extremum(manifold.features(x, x.conj()), maximum=True)[0])
     n = phasors.shape[1]
     size = FFT_FACTOR * n
     power = np.abs(np.fft.fft(phasors, size, axis=1)) ** 2
@@ -99,6 +112,38 @@ def find_order(
     position
         (P, 3): where the UEs are, NaN where unknown.
     """
+    start = _start(array, phasors, reference, position)
+    order = _assigned(array, phasors[:, start], reference, position)
+    return tuple(int(m) for m in start[order])
+
+
+def _start(
+    array: ArrayGeometry, phasors: Complex, reference: Complex, position: NDArray[Any]
+) -> NDArray[np.intp]:
+    """The order to begin with: as described, or as if the array were mirrored or turned.
+
+    Such a mistake changes the order of nearly all antennas at once, which pairs cannot tell.
+    """
+    identity = np.arange(phasors.shape[1])
+    best, most = identity, _coherence(array, phasors * reference, reference, position) + SYMMETRY_MARGIN
+    for order in symmetries(array).values():
+        found = _coherence(array, phasors[:, order] * reference, reference, position)
+        if found > most:
+            best, most = order, found
+    return best
+
+
+def _coherence(array: ArrayGeometry, channels: Complex, reference: Complex, position: NDArray[Any]) -> float:
+    """How well `channels` (P, N) are the waves that they should be, 0 to 1."""
+    phasors = _phasor(channels)
+    expected = templates(array, phasors, position)
+    return float(np.abs((phasors * expected.conj()).mean(axis=1)).mean())
+
+
+def _assigned(
+    array: ArrayGeometry, phasors: Complex, reference: Complex, position: NDArray[Any]
+) -> NDArray[np.intp]:
+    """The order that pairs of antennas speak for, beginning with none changed."""
     count, n = phasors.shape
     identity = np.arange(n)
     order = identity
@@ -113,7 +158,7 @@ def find_order(
         if (found == order).all():
             break
         order = found
-    return tuple(int(m) for m in order)
+    return order
 
 
 def suspect_order(phase_rad: Floats, swapped_phase_rad: Floats) -> tuple[int, ...]:
@@ -144,18 +189,53 @@ def suspect_order(phase_rad: Floats, swapped_phase_rad: Floats) -> tuple[int, ..
     return tuple(int(m) for m in order)
 
 
-def responses(measured: Complex, expected: Complex, order: tuple[int, ...]) -> Calibration:
+def responses(
+    measured: Complex, expected: Complex, order: tuple[int, ...], offset_hz: Floats | None = None
+) -> Calibration:
     """The calibration that makes `measured` (P, N_R, N_S) at the inputs into `expected` at the elements.
 
     The ratio of the two, up to a phase for each place, is fitted by an outer product of antennas and
-    subcarriers. The overall amplitude is left as it is.
+    subcarriers, and by delays of single antennas where they stand out of the noise. The overall amplitude is
+    left as it is. `offset_hz` (N_S,) are the subcarriers' distances from the carrier; None: no delays.
     """
     ratio = coherent_mean(measured[:, list(order), :] / expected)
+    antenna, subcarrier = _product(ratio)
+    delay_s = _delays(ratio, antenna, subcarrier, offset_hz)
+    if delay_s is not None and offset_hz is not None:
+        turn = np.exp(2j * np.pi * np.outer(delay_s, offset_hz))
+        antenna, subcarrier = _product(ratio * turn)
+    return Calibration.of(order, antenna, subcarrier, delay_s)
+
+
+def _product(ratio: Complex) -> tuple[Complex, Complex]:
+    """Responses of antennas (N_R,) and subcarriers (N_S,) whose product is nearest to `ratio`."""
     left, size, right = np.linalg.svd(ratio)
     antenna, subcarrier = left[:, 0] * np.sqrt(size[0]), right[0] * np.sqrt(size[0])
     antenna = antenna / np.abs(antenna).mean() * np.exp(-1j * np.angle(antenna.sum()))
     subcarrier = subcarrier / np.abs(subcarrier).mean() * np.exp(-1j * np.angle(subcarrier[0]))
-    return Calibration.of(order, antenna, subcarrier)
+    return antenna, subcarrier
+
+
+def _delays(ratio: Complex, antenna: Complex, subcarrier: Complex, offset_hz: Floats | None) -> Floats | None:
+    """Delays (N_R,) about their mean of antennas that have some of their own; None if noise explains them."""
+    s = ratio.shape[1]
+    if s < LEAST_TONES or offset_hz is None:
+        return None
+    off = ratio / (antenna[:, None] * subcarrier)
+    off = off / np.abs(off).mean()
+    centred = offset_hz - offset_hz.mean()
+    reach = np.pi / (np.diff(offset_hz).min() * 2)
+    grid = np.linspace(-reach, reach, 8 * s + 1) / np.pi
+    fit = np.abs(off @ np.exp(2j * np.pi * np.outer(centred, grid)))
+    delay = grid[fit.argmax(axis=1)]
+    for _ in range(3):
+        rest = off * np.exp(2j * np.pi * np.outer(delay, centred))
+        phase = np.angle(rest * np.exp(-1j * np.angle(rest.sum(axis=1, keepdims=True))))
+        slope = (phase * centred).sum(axis=1) / (centred @ centred)
+        delay = delay - slope / (2 * np.pi)
+    left = np.angle(rest * np.exp(-1j * np.angle(rest.sum(axis=1, keepdims=True))))
+    error = np.sqrt(float(np.mean(left**2)) / float(centred @ centred)) / (2 * np.pi)
+    return delay - delay.mean() if np.abs(delay - delay.mean()).max() > SURE_DELAY * error else None
 
 
 def deviations(array: ArrayGeometry, phasors: Complex, position: NDArray[Any]) -> Floats:

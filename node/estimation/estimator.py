@@ -72,7 +72,7 @@ class ChartEstimator:
         self.options = Options.of(**options)
         self.rejected = Counters()
         self._memory = Memory(self.options.max_ues, self._make_locator(self.options))
-        self._correct = None if array.calibration is None else array.calibration.corrector()
+        self._correct = None if array.calibration is None else array.calibration.corrector(array.offsets_hz)
         live = array.live_antennas, array.live_tones
         self._live = None if all(mask.all() for mask in live) else np.ix_(*map(np.flatnonzero, live))
 

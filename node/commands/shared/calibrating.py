@@ -16,6 +16,7 @@ from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation import calibrate as fitting
+from chachart.node.estimation.symmetries import symmetries
 from chachart.node.files.recording import RecordingReader
 from chachart.sources.checks import usable
 
@@ -59,8 +60,10 @@ class Finding:
     ----------
     calibration
         The calibration.
+    wrong
+        What is wrong with the description as a whole, mirrored or turned, in words; None if nothing is.
     swapped
-        Cycles of antennas that are connected to one another's inputs; a swap is a pair.
+        Besides that, cycles of antennas that are connected to one another's inputs; a swap is a pair.
     sure
         Whether more than one place says so.
     before_rad, after_rad
@@ -68,6 +71,7 @@ class Finding:
     """
 
     calibration: Calibration
+    wrong: str | None
     swapped: list[tuple[int, ...]]
     sure: bool
     before_rad: NDArray[np.float64]
@@ -148,7 +152,11 @@ def read(reader: RecordingReader, references: list[int]) -> Capture:
         raise SetupError(f"{reader.path} has no frame of UE {missing[0]}; it has {some}, ...")
     power = np.einsum("pnn->n", covariance).real
     if dead := np.flatnonzero(power < DEAD * np.median(power)).tolist():
-        raise SetupError(f"{reader.path}: input {', '.join(map(str, dead))} measures nothing")
+        inputs = ", ".join(map(str, dead))
+        raise SetupError(
+            f"{reader.path}: input {inputs} measures nothing: a broken cable or antenna? "
+            f"dead_antennas = {dead} in [array] goes on without it"
+        )
     p = len(slots)
     reference = CsiBlock.concatenate(kept) if kept else None
     return Capture(
@@ -179,7 +187,7 @@ def find(array: ArrayGeometry, capture: Capture, references: list[int]) -> Findi
     measured = np.stack([fitting.coherent_mean(frames[which.ravel() == i]) for i in range(len(unique))])
     expected = fitting.spherical(array, unique)
     order, sure = _order(array, capture, measured[0], expected[0])
-    calibration = fitting.responses(measured, expected, order)
+    calibration = fitting.responses(measured, expected, order, array.offsets_hz)
     return _finding(array, capture, calibration, order, sure)
 
 
@@ -222,13 +230,28 @@ def _order(
     return fitting.suspect_order(np.diag(swapped).copy(), swapped), False
 
 
+def described(array: ArrayGeometry, order: tuple[int, ...]) -> tuple[str | None, tuple[int, ...]]:
+    """What is wrong with the description as a whole, and what of the order is left beside it."""
+    best: tuple[str | None, tuple[int, ...]] = (None, order)
+    fewest = sum(n != m for n, m in enumerate(order))
+    for name, whole in symmetries(array).items():
+        back = np.argsort(whole)
+        rest = tuple(int(back[m]) for m in order)
+        moved = sum(n != m for n, m in enumerate(rest))
+        if moved < fewest // 2:
+            best, fewest = (name, rest), moved
+    return best
+
+
 def _finding(
     array: ArrayGeometry, capture: Capture, calibration: Calibration, order: tuple[int, ...], sure: bool
 ) -> Finding:
     raw = fitting.signatures(capture.covariance)
+    wrong, moved = described(array, order)
     return Finding(
         calibration,
-        fitting.cycles(order),
+        wrong,
+        fitting.cycles(moved),
         sure,
         fitting.deviations(array, raw, capture.position),
         fitting.deviations(array, _corrected(calibration, raw), capture.position),

@@ -27,7 +27,7 @@ class Receiver:
 
     def __init__(self, array: ArrayGeometry) -> None:
         self.array = array
-        self._correct = None if array.calibration is None else array.calibration.corrector()
+        self._correct = None if array.calibration is None else array.calibration.corrector(array.offsets_hz)
         self._antennas = np.flatnonzero(array.live_antennas)
         self._tones = np.flatnonzero(array.live_tones)
         numbers = array.tone_numbers[self._tones]
