@@ -30,14 +30,20 @@ FORMATS = (
 """Modules of this package, in the order in which they are asked."""
 
 
+SAMPLE = Path("sample.npz")
+"""A capture that comes with chachart: 16 UEs that walk before a line of 8 antennas, 15 frames each."""
+
+
 def open_capture(path: Path) -> Capture:
-    """The capture in `path`, whatever its format.
+    """The capture in `path`, whatever its format; `sample.npz` is `SAMPLE` where there is no such file.
 
     Raises
     ------
     SetupError
         If it cannot be read or is in no known format; the message has every format's reason.
     """
+    if path == SAMPLE and not path.exists():
+        path = Path(__file__).with_name(path.name)
     head = _head(path)
     if is_packed(head):
         held = unpacked(path, head)

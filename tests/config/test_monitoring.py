@@ -46,3 +46,14 @@ def test_the_unit_calls_the_node_as_it_wants_to_be_called() -> None:
         assert program.endswith("/bin/chachart-node")
         assert _parser().parse_args(arguments).config == Path("/etc/chachart/node.toml")
     assert service["RestartPreventExitStatus"] == str(EX_CONFIG)
+
+
+def test_alerts_are_about_metrics_that_there_are() -> None:
+    rules = (CONFIG / "prometheus-rules.yml").read_text()
+    report = {"power_db": [0.0], "coherent_db": [0.0], "faults": {"0": "dead"}}
+    status = NodeStatus(antennas=report, quality={"tw": 0.9, "ct": 0.9})
+    told = exposition(status.as_dict()).decode()
+    known = set(re.findall(r"^# TYPE (\S+)", told, re.MULTILINE))
+    asked = set(re.findall(r"\b(chachart_\w+)", rules))
+    assert len(asked) > 6
+    assert asked <= known
