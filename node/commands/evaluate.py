@@ -28,6 +28,7 @@ from chachart.node.commands.shared.charting import (
     settings_for,
 )
 from chachart.node.commands.shared.cli import check_figure, check_writable
+from chachart.node.commands.shared.tables import as_csv, as_latex
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.errors import SetupError
 from chachart.node.data.extras import require
@@ -40,6 +41,8 @@ _SHARES = ("tw", "ct", "k", "stress")
 _ERRORS = ("error_m", "error_mean_m", "error_p90_m")
 _ANGLES = ("theta_error_deg", "rho_error_m")
 
+_TABLES = {".csv": as_csv, ".tex": as_latex}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line of `chachart evaluate`."""
@@ -47,6 +50,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser)
     parser.add_argument("--chart", type=Path, metavar="FILE.png", help="draw truth and chart side by side")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
+    parser.add_argument(
+        "--table",
+        type=Path,
+        metavar="FILE",
+        help="write the figures as a row of a .csv or .tex table",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -59,6 +68,10 @@ def run(arguments: argparse.Namespace) -> int:
     """
     if arguments.json is not None:
         check_writable(arguments.json, force=True)
+    if arguments.table is not None:
+        if arguments.table.suffix not in _TABLES:
+            raise SetupError(f"{arguments.table} must end in one of {', '.join(_TABLES)}")
+        check_writable(arguments.table, force=True)
     if arguments.chart is not None:
         check_figure(arguments.chart)
         require("plot", "--chart:")
@@ -102,6 +115,10 @@ def run(arguments: argparse.Namespace) -> int:
     _print(arguments.recording, method, figures, remark)
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(figures, indent=2) + "\n")
+    if arguments.table is not None:
+        row = {"recording": arguments.recording.name, "methods": method}
+        row |= {name: value for name, value in figures.items() if not isinstance(value, dict)}
+        arguments.table.write_text(_TABLES[arguments.table.suffix]([row]))
     if arguments.chart is not None:
         from chachart.node.commands.figures import chart as picture
         from chachart.node.commands.figures.style import write

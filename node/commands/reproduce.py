@@ -4,7 +4,8 @@
     chachart reproduce --channels los,qnlos --bandwidth 10e6 --out report
     chachart reproduce --channels qnlos --bandwidth 10e6 --data qnlos=measured.mcap
 
-Writes report.html, results.json and the figures as PNG files. Trustworthiness, continuity and seconds stand
+Writes report.html, results.json, the figures as PNG and PDF files, and the tables as CSV and LaTeX.
+Trustworthiness, continuity and seconds stand
 beside the published ones; the report has the charts, their curves over the number of neighbours, what range
 by amplitude costs, errors beside the Cramér-Rao bound, and PCA and Sammon's mapping for comparison. Recorded
 channels (--data) hold one frame without noise of each UE, as `chachart import` writes them; noise is added
@@ -30,6 +31,7 @@ from chachart.node.commands.reproduction import accuracy, embeddings, paper, ran
 from chachart.node.commands.reproduction.paper import Pair
 from chachart.node.commands.reproduction.progress import steps
 from chachart.node.commands.reproduction.results import WRITTEN, ChannelResults, Results
+from chachart.node.commands.shared.tables import as_csv, as_latex
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.errors import SetupError
 from chachart.node.data.extras import require
@@ -230,6 +232,10 @@ def _write(out: Path, results: Results) -> Path:
     }
     for name, themes in pictures.items():
         (out / f"{name}.png").write_bytes(themes["light"])
+        (out / f"{name}.pdf").write_bytes(figures.pdf(drawings[name]))
+    for c in results.channels:
+        (out / f"table-{c.name}.csv").write_text(as_csv(c.table()))
+        (out / f"table-{c.name}.tex").write_text(as_latex(c.table()))
     (out / "results.json").write_text(json.dumps(results.as_dict(), indent=1, allow_nan=False) + "\n")
     path = out / "report.html"
     path.write_text(report.render(results, pictures), "utf-8")

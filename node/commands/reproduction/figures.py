@@ -80,21 +80,7 @@ Drawing = Callable[[Theme], Figure]
 
 def png(drawing: Drawing, theme: Theme) -> bytes:
     """The drawing in a theme, as a PNG file."""
-    style: dict[Any, Any] = {
-        "font.size": 9,
-        "axes.titlesize": 9,
-        "axes.facecolor": theme.paper,
-        "figure.facecolor": theme.paper,
-        "legend.frameon": False,
-        "grid.color": theme.soft,
-        "grid.alpha": 0.25,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        **{f"axes.{name}": theme.ink for name in ("labelcolor", "titlecolor")},
-        **dict.fromkeys(("text.color", "xtick.labelcolor", "ytick.labelcolor"), theme.ink),
-        **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color"), theme.soft),
-    }
-    with mpl.rc_context(style):
+    with mpl.rc_context(_style(theme)):
         figure = drawing(theme)
         FigureCanvasAgg(figure)
         drawn, file = io.BytesIO(), io.BytesIO()
@@ -134,6 +120,33 @@ def charts(truth: Floats, charted: Sequence[Charted], embeddings: Sequence[Chart
         return figure
 
     return draw
+
+
+def pdf(drawing: Drawing) -> bytes:
+    """The drawing for print, as a PDF file whose text stays text."""
+    file = io.BytesIO()
+    with mpl.rc_context({**_style(THEMES[0]), "pdf.fonttype": 42}):
+        figure = drawing(THEMES[0])
+        FigureCanvasAgg(figure)
+        figure.savefig(file, format="pdf", metadata={"CreationDate": None})
+    return file.getvalue()
+
+
+def _style(theme: Theme) -> dict[Any, Any]:
+    return {
+        "font.size": 9,
+        "axes.titlesize": 9,
+        "axes.facecolor": theme.paper,
+        "figure.facecolor": theme.paper,
+        "legend.frameon": False,
+        "grid.color": theme.soft,
+        "grid.alpha": 0.25,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        **{f"axes.{name}": theme.ink for name in ("labelcolor", "titlecolor")},
+        **dict.fromkeys(("text.color", "xtick.labelcolor", "ytick.labelcolor"), theme.ink),
+        **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color"), theme.soft),
+    }
 
 
 def curves(pairs: Sequence[Pair], charted: Sequence[Charted], others: Sequence[Charted]) -> Drawing:

@@ -49,6 +49,24 @@ class ChannelResults:
         """Neighbours of the tables."""
         return len(self.charted[0].tw)
 
+    def table(self) -> list[dict[str, Any]]:
+        """A row a pair of methods: published and measured here."""
+        rows = []
+        for pair, charted in zip(self.pairs, self.charted, strict=True):
+            paper = published(self.name, pair)
+            rows.append(
+                {
+                    "methods": charted.name,
+                    "TW published": None if paper is None else paper.tw,
+                    "TW": float(charted.tw[-1]),
+                    "CT published": None if paper is None else paper.ct,
+                    "CT": float(charted.ct[-1]),
+                    "s published": None if paper is None else paper.seconds,
+                    "s": charted.mean_seconds,
+                }
+            )
+        return rows
+
     def as_dict(self) -> dict[str, Any]:
         """Plain values."""
         pairs = []

@@ -1,7 +1,7 @@
 // Pictures and tables for people to take away.
 
 import { css } from './colours.js';
-import { font } from './axes.js';
+import { font, ticks, tickText } from './axes.js';
 
 function save(blob, name) {
   const link = document.createElement('a');
@@ -47,4 +47,46 @@ export function savePng(picture, caption, array) {
     }
   }
   sheet.toBlob((blob) => save(blob, `chart-${array}-${stamp()}.png`), 'image/png');
+}
+
+const escaped = (text) => `${text}`.replace(/[&<>"]/g, (c) => ({ '&': '&amp;', '<': '&lt;', '>': '&gt;', '"': '&quot;' })[c]);
+
+/** What is seen as SVG, for papers: every point a circle, with axes, caption and colour key. */
+export function saveSvg(picture, caption, array) {
+  const { world, colouring, view, colours } = picture;
+  const [width, height] = view.size;
+  const packed = new Uint32Array(world.rows);
+  colouring.paint(world, packed);
+  const parts = [];
+  const text = (x, y, words, anchor = 'middle') => parts.push(`<text x="${x.toFixed(1)}" y="${y.toFixed(1)}" text-anchor="${anchor}" fill="${colours.quiet}">${escaped(words)}</text>`);
+  view.panes().forEach((pane, i) => {
+    const { left, top, right, bottom, scale, x0, y0, title } = pane;
+    const clip = `pane${i}`;
+    parts.push(`<clipPath id="${clip}"><rect x="${left}" y="${top}" width="${right - left}" height="${bottom - top}"/></clipPath>`);
+    const xs = ticks((left - x0) / scale, (right - x0) / scale, (right - left) / 90);
+    const ys = ticks((y0 - bottom) / scale, (y0 - top) / scale, (bottom - top) / 70);
+    const lines = [...xs.map((x) => `M${(x0 + x * scale).toFixed(1)} ${top}V${bottom}`), ...ys.map((y) => `M${left} ${(y0 - y * scale).toFixed(1)}H${right}`)];
+    parts.push(`<path d="${lines.join('')}" stroke="${colours.line}" fill="none"/><rect x="${left}" y="${top}" width="${right - left}" height="${bottom - top}" stroke="${colours.line}" fill="none"/>`);
+    for (const x of xs) text(x0 + x * scale, bottom + 16, tickText(x, xs));
+    for (const y of pane.labelled ? ys : []) text(left - 6, y0 - y * scale + 4, tickText(y, ys), 'end');
+    const truth = title === 'Truth';
+    parts.push(`<g clip-path="url(#${clip})">`);
+    for (let row = 0; row < world.rows; row++) {
+      const x = x0 + (truth ? world.true_x : world.x)[row] * scale;
+      const y = y0 - (truth ? world.true_y : world.y)[row] * scale;
+      if (Number.isFinite(x + y)) parts.push(`<circle cx="${x.toFixed(1)}" cy="${y.toFixed(1)}" r="2.5" fill="${css(packed[row])}"/>`);
+    }
+    parts.push('</g>');
+    if (view.titles.length > 1) text(left + 10, top + 20, title, 'start');
+  });
+  const said = colouring.measure(world);
+  text(14, height + 18, caption, 'start');
+  if (said.by !== 'truth') {
+    const steps = Array.from({ length: 32 }, (_, i) => `<rect x="${width - 260 + i * 5}" y="${height + 8}" width="5.2" height="10" fill="${css(colouring.scalar[i * 8])}"/>`);
+    parts.push(...steps);
+    text(width - 266, height + 18, said.low, 'end');
+    text(width - 94, height + 18, said.high, 'start');
+  }
+  const svg = `<svg xmlns="http://www.w3.org/2000/svg" width="${width}" height="${height + 30}" font-family="sans-serif" font-size="11"><rect width="100%" height="100%" fill="${colours.plot}"/>${parts.join('')}</svg>`;
+  save(new Blob([svg], { type: 'image/svg+xml' }), `chart-${array}-${stamp()}.svg`);
 }

@@ -3,7 +3,7 @@
 import { showAntennas, showResponse } from './antennas.js';
 import { redraw } from './curve.js';
 import { showPaths, strongPaths, Waterfall } from './depth.js';
-import { saveCsv, savePng, stamp } from './export.js';
+import { saveCsv, savePng, saveSvg, stamp } from './export.js';
 import { History } from './history.js';
 import { bindKeys } from './keys.js';
 import { List } from './list.js';
@@ -170,6 +170,7 @@ function key() {
 
 let frames = 0;
 function measure() {
+  picture.painted = null; // ranges and ages have changed
   key();
   picture.refit();
   const fps = picture.drawn - frames;
@@ -310,6 +311,7 @@ function caption() {
 }
 
 const png = () => savePng(picture, caption(), hello?.array.name ?? 'node');
+const svg = () => saveSvg(picture, caption(), hello?.array.name ?? 'node');
 const csv = () => saveCsv(world, hello?.array.name ?? 'node', { theta: $('theta').value, rho: $('rho').value });
 const dark = () => document.documentElement.dataset.theme === 'dark';
 
@@ -338,7 +340,7 @@ $('follow').addEventListener('change', () => {
 const clicks = {
   ues: () => list.show(),
   plan: () => plan.show(),
-  pause, record, png, csv, theme: () => theme(dark() ? 'light' : 'dark'), reset: () => picture.fit(), close: () => select(null),
+  pause, record, png, svg, csv, theme: () => theme(dark() ? 'light' : 'dark'), reset: () => picture.fit(), close: () => select(null),
   in: () => picture.view.zoom(1.4), out: () => picture.view.zoom(1 / 1.4), help: () => $('keys').showModal(), cancel: () => $('recording').close(),
 };
 for (const [id, run] of Object.entries(clicks)) $(id).addEventListener('click', run);
@@ -362,6 +364,7 @@ bindKeys([
   [['m'], 'choose the method', () => $('theta').focus()],
   [['r'], 'record, or stop recording', record],
   [['s'], 'save the picture (PNG)', png],
+  [['g'], 'save the picture for a paper (SVG)', svg],
   [['e'], 'save the table (CSV)', csv],
   [['d'], 'dark or light', () => clicks.theme()],
   [['?'], 'these keys', () => $('keys').showModal()],

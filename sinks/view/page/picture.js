@@ -7,6 +7,7 @@ import { View } from './view.js';
 
 const TRAIL_ALPHA = 120;
 const TRAILS_EVERY_MS = 500;
+const TRAILS_SHARE = 0.05; // trails may take such a share of the time: with very many UEs they are drawn less often
 const GLIDE_MS = 70; // time constant with which points follow their estimates
 const OWN_PANE = 0.1; // share of UEs whose truth is known
 
@@ -154,7 +155,8 @@ export class Picture {
       this.scatter.begin();
     }
     const { scatter, world } = this;
-    scatter.paint(world, this.colouring);
+    if (this.stale || this.painted !== world.version) scatter.paint(world, this.colouring);
+    this.painted = world.version;
     this.#settleTrails(panes);
     scatter.clear();
     const radius = ratio * this.#radius(panes[0], ratio);
@@ -186,14 +188,16 @@ export class Picture {
 
   /** Trails grow once a second only: draw them into the ground now and then. */
   #settleTrails(panes) {
-    const due = performance.now() - (this.settledAt ?? 0) > TRAILS_EVERY_MS;
+    const begin = performance.now();
+    const due = begin - (this.settledAt ?? 0) > Math.max(TRAILS_EVERY_MS, (this.settleTook ?? 0) / TRAILS_SHARE);
     if (!this.stale && !(this.trails && due)) return;
-    this.settledAt = performance.now();
     this.stale = false;
     const chart = panes.at(-1);
     this.scatter.settle(() => {
       if (this.trails) this.scatter.trails(this.world, chart, TRAIL_ALPHA);
     });
+    this.settledAt = performance.now();
+    this.settleTook = this.settledAt - begin;
   }
 
   /** CSS pixels: as large as the pane and the number of UEs allow. */

@@ -233,3 +233,18 @@ def test_an_array_that_was_said_to_be_elsewhere(
     assert figures["error_m"] > 800
     assert figures["fit_error_m"] < 10
     assert "(as it is)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("t.csv", "recording,methods,tw"), ("t.tex", "los.mcap & bartlett")]
+)
+def test_a_row_for_a_table(recording: Path, tmp_path: Path, name: str, words: str) -> None:
+    assert main(["evaluate", str(recording), "--table", str(tmp_path / name)]) == 0
+    assert words in (tmp_path / name).read_text()
+
+
+def test_a_table_of_a_kind_that_there_is_not(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["evaluate", str(recording), "--table", str(tmp_path / "t.docx")]) == 78
+    assert "must end in one of .csv, .tex" in capsys.readouterr().err

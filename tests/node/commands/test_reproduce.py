@@ -122,6 +122,11 @@ def test_the_results_hold_what_was_asked(out: Path) -> None:
     ]
     for figure in ("summary", "charts-los", "curves-los", "accuracy"):
         assert (out / f"{figure}.png").read_bytes().startswith(b"\x89PNG")
+        assert (out / f"{figure}.pdf").read_bytes().startswith(b"%PDF")
+    header, first, *_ = (out / "table-los.csv").read_text().splitlines()
+    assert header == "methods,TW published,TW,CT published,CT,s published,s"
+    assert first.startswith("Bartlett / Bartlett,0.9998,")
+    assert "Bartlett / Bartlett & 0.9998 & " in (out / "table-los.tex").read_text()
 
 
 def test_recorded_channels_take_the_place_of_the_model(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import csv
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from browser import DRAWN, browse, wait
@@ -130,10 +131,15 @@ def test_everything_works_from_the_keyboard(node: LiveNode, tmp_path: Path) -> N
         with page.expect_download() as picture:
             press("s")
         picture.value.save_as(tmp_path / "chart.png")
+        with page.expect_download() as drawing:
+            press("g")
+        drawing.value.save_as(tmp_path / "chart.svg")
         assert complaints == []
     with (tmp_path / "chart.csv").open() as file:
         assert sorted(int(row["ue"]) for row in csv.DictReader(file)) == list(range(60))
     assert (tmp_path / "chart.png").read_bytes().startswith(b"\x89PNG")
+    circles = ElementTree.parse(tmp_path / "chart.svg").iter("{http://www.w3.org/2000/svg}circle")
+    assert len(list(circles)) >= 60
 
 
 def test_recording_by_hand(node: LiveNode) -> None:
