@@ -193,14 +193,16 @@ class Recording(Source):
     def _replay(self) -> dict[str, Any]:
         """How it plays, for people."""
         start_ns = self._reader.start_ns if self._reader is not None else None
+        length_s, ended = self._length_s(), self._waiting is None and self._jump_s is None
         at_s = (self._latest_ns - self._shift_ns - (start_ns or 0)) / 1e9
+        at_s = length_s if ended else min(max(at_s, 0.0), length_s)
         return {
             "at_s": at_s if self._jump_s is None else self._jump_s,
-            "length_s": self._length_s(),
+            "length_s": length_s,
             "start_ns": start_ns,
             "paused": self._playback.paused,
             "speed": self._playback.speed,
-            "ended": self._waiting is None and self._jump_s is None,
+            "ended": ended,
         }
 
     def _length_s(self) -> float:

@@ -143,7 +143,9 @@ def test_it_jumps_pauses_and_goes_back_from_the_end(path: Path, blocks: list[Csi
     with Recording(settings, small_array()) as source:
         assert receive(source, 200)
         assert source.recv(0.0) is None, "the end is not the end of the source"
-        assert source.details()["replay"]["ended"]
+        played = source.details()["replay"]
+        assert played["ended"]
+        assert played["at_s"] == played["length_s"] == pytest.approx(0.199)
         plays = source.replay(at_s=0.15)
         assert (plays["ended"], plays["at_s"], plays["paused"]) == (False, 0.15, False)
         again = receive(source, 50)

@@ -12,6 +12,9 @@ export class Plan {
     $('planform').addEventListener('submit', (event) => {
       if (event.submitter?.value === 'keep') this.#keep(event);
     });
+    for (const i of [0, 1]) {
+      for (const [k, field] of [[0, 'c'], [1, 'r']]) $(`anchor${i}${field}`).addEventListener('change', () => this.#place(i, k, $(`anchor${i}${field}`).value));
+    }
     $('planremove').addEventListener('click', () => this.#change({ remove: true }).then(() => $('plandialog').close()));
     const stage = $('plot');
     stage.addEventListener('dragover', (event) => event.preventDefault());
@@ -77,17 +80,27 @@ export class Plan {
     this.#preview();
   }
 
+  /** A point's column or row by hand, for whoever cannot click. */
+  #place(i, k, value) {
+    while (this.clicked.length <= i) this.clicked.push([NaN, NaN, NaN, NaN]);
+    this.clicked[i][k] = value === '' ? NaN : Number(value);
+    this.#fill();
+    this.#preview();
+  }
+
   #fill() {
+    const placed = (i) => Number.isFinite(this.clicked[i]?.[0] + this.clicked[i]?.[1]);
     for (const i of [0, 1]) {
-      for (const [k, axis] of [[2, 'x'], [3, 'y']]) {
+      for (const [k, axis] of [[0, 'c'], [1, 'r'], [2, 'x'], [3, 'y']]) {
         const field = $(`anchor${i}${axis}`);
-        field.disabled = !this.clicked[i];
-        field.value = Number.isFinite(this.clicked[i]?.[k]) ? this.clicked[i][k] : '';
+        field.disabled = !this.image || (k > 1 && !placed(i));
+        if (document.activeElement === field) continue;
+        field.value = Number.isFinite(this.clicked[i]?.[k]) ? Math.round(this.clicked[i][k] * 100) / 100 : '';
       }
     }
-    $('plankeep').disabled = this.clicked.length < 2;
+    $('plankeep').disabled = !placed(0) || !placed(1);
     $('planhint').textContent = !this.image ? 'PNG, JPEG or WebP; or drop a file on the chart.'
-      : this.clicked.length < 2 ? `Click the ${this.clicked.length ? 'second' : 'first'} of two points whose places on the chart you know.` : 'Where are they on the chart, in metres?';
+      : !placed(0) || !placed(1) ? `Click the ${placed(0) ? 'second' : 'first'} of two points whose places on the chart you know.` : 'Where are they on the chart, in metres?';
   }
 
   async #keep(event) {

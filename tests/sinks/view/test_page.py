@@ -255,3 +255,17 @@ def test_a_plan_lies_under_the_chart(tmp_path: Path) -> None:
         }"""
         wait(page, f"({orange})()")
         assert [text for text in complaints if "willReadFrequently" not in text] == []
+
+
+def test_why_nothing_comes_is_told_with_what_would_help(tmp_path: Path) -> None:
+    port = free_port()
+    more = f'[[sinks]]\ntype = "view"\nport = {port}\n[estimator]\nrho = "lr"'
+    with (
+        LiveNode(tmp_path, more, source="known_ues = 0"),
+        browse(f"http://127.0.0.1:{port}/") as (page, complaints),
+    ):
+        page.wait_for_selector("#link[data-state=degraded]")
+        assert "is not trained" in page.inner_text("#notice")
+        assert "send known positions" in page.inner_text("#notice")
+        assert "is not trained" in page.inner_text("#waiting")
+        assert complaints == []
