@@ -9,7 +9,7 @@ from chachart.node.commands.main import main
 
 WORDS = (
     "--csi csi --ue ue --time time_ns --position position --axes frame,antenna,subcarrier --carrier-hz 2e9 "
-    "--subcarrier-spacing-hz 625000 --array-position 0,0,10 --array-axis y"
+    "--subcarrier-spacing-hz 312500 --array-position 0,0,10 --array-axis y"
 )
 
 
