@@ -22,12 +22,24 @@ from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.settings import Settings
 from chachart.node.estimation.fit import misfits, unreachable
+from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
 from chachart.node.estimation.options import Options
 from chachart.node.net.security import SecuritySettings
 from chachart.sinks.base import SinkSettings
 from chachart.sources.base import SourceSettings
 
-SECTIONS = ("array", "source", "estimator", "workers", "quality", "state", "security", "sinks")
+SECTIONS = (
+    "array",
+    "source",
+    "estimator",
+    "fusion",
+    "tracking",
+    "workers",
+    "quality",
+    "state",
+    "security",
+    "sinks",
+)
 
 AnySettings = TypeVar("AnySettings", bound=Settings)
 Location = tuple[str | int, ...]
@@ -55,7 +67,7 @@ class NodeSettings:
     ----------
     array
         None where no `[array]` is given: the source must then carry its own.
-    source, estimator, workers, quality, state, sinks, security
+    source, estimator, workers, quality, state, sinks, security, fusion, tracking
         The other sections of the configuration.
     """
 
@@ -67,6 +79,8 @@ class NodeSettings:
     state: StateSettings
     sinks: tuple[SinkSettings, ...]
     security: SecuritySettings = field(default_factory=SecuritySettings)
+    fusion: FusionOptions = field(default_factory=FusionOptions)
+    tracking: TrackingOptions = field(default_factory=TrackingOptions)
 
 
 def load(path: Path | None = None, overrides: Sequence[str] = (), sinks: Sequence[str] = ()) -> NodeSettings:
@@ -149,6 +163,8 @@ class _Loader:
         quality = self._section(QualitySettings, "quality")
         security = self._section(SecuritySettings, "security")
         state = self._section(StateSettings, "state")
+        fusion = self._section(FusionOptions, "fusion")
+        tracking = self._section(TrackingOptions, "tracking")
         sinks = [self._component("sink", ("sinks", n), table) for n, table in enumerate(self._sinks())]
         geometry = self._geometry(array) if array else None
         if estimator and geometry:
@@ -169,6 +185,8 @@ class _Loader:
             state,
             tuple(cast(SinkSettings, sink) for sink in sinks),
             cast(SecuritySettings, security),
+            cast(FusionOptions, fusion),
+            cast(TrackingOptions, tracking),
         )
 
     def _wrong(self, location: Location, problem: str, value: Any = None) -> None:

@@ -14,6 +14,7 @@ from pydantic.fields import FieldInfo
 from chachart.config.describe import allowed, alternatives, literal_values, nested_model, toml
 from chachart.config.registry import Kind, available, settings_class
 from chachart.config.settings import ArraySettings, QualitySettings, StateSettings, WorkersSettings
+from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
 from chachart.node.estimation.options import Options
 from chachart.node.net.security import SecuritySettings
 
@@ -34,6 +35,8 @@ def configuration() -> str:
         _others("source"),
         component("source", "simulator"),
         _section("[estimator]", Options),
+        _section("[fusion]", FusionOptions),
+        _section("[tracking]", TrackingOptions),
         _section("[workers]", WorkersSettings),
         _section("[quality]", QualitySettings),
         _section("[security]", SecuritySettings),
@@ -62,6 +65,8 @@ def table() -> str:
     for header, model in (
         ("[array]", ArraySettings),
         ("[estimator]", Options),
+        ("[fusion]", FusionOptions),
+        ("[tracking]", TrackingOptions),
         ("[workers]", WorkersSettings),
         ("[quality]", QualitySettings),
         ("[security]", SecuritySettings),

@@ -3,6 +3,11 @@
     chachart evaluate capture.mcap --theta music --rho music --chart chart.png --json quality.json
     chachart evaluate capture.mcap --set estimator.averaging=exponential estimator.memory_frames=16
 
+Recordings of several arrays are fused, as [fusion] and [tracking] say:
+
+    chachart evaluate street.mcap --set fusion.clock=offset
+    chachart evaluate walk.mcap --set tracking.motion=walk --smooth
+
 All frames of a UE count alike unless --set says otherwise. Methods that are not named are those that the
 capture allows. Errors are given as they are, in metres in the frame of the positions, and after the turn,
 mirror, scale and shift that fit best, which say what kind of error it is.
@@ -18,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from chachart.node.commands.shared import fused
 from chachart.node.commands.shared.charting import (
     FEWEST_UES,
     Charted,
@@ -49,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="FILE.mcap", help="the recording")
     add_options(parser)
     parser.add_argument("--chart", type=Path, metavar="FILE.png", help="draw truth and chart side by side")
+    parser.add_argument("--smooth", action="store_true", help="with tracking: what comes later counts, too")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
     parser.add_argument(
         "--table",
@@ -77,6 +84,10 @@ def run(arguments: argparse.Namespace) -> int:
         require("plot", "--chart:")
     reader = RecordingReader(arguments.recording)
     settings = settings_for(arguments, reader)
+    if len(reader.arrays) > 1 or settings.tracking.motion != "off":
+        return fused.run(arguments, reader, settings)
+    if arguments.smooth:
+        raise SetupError("--smooth needs tracks: --set tracking.motion=walk or drive")
     estimator = estimator_for(reader, settings, arguments.calibration)
     started = time.perf_counter()
     chart, frames = estimate(reader, estimator)

@@ -2,6 +2,7 @@
 
     chachart import capture.npz capture.mcap --csi H --axes ue,antenna,subcarrier --position xyz \\
         --carrier-hz 2e9 --subcarrier-spacing-hz 312500 --array-position 0,0,10 --array-axis y
+    chachart import street.npz street.mcap --snr-db 10
     chachart import POS1.dat POS2.dat lab.mcap --carrier-hz 5.32e9 --position 1,0,0 --position 2,0.5,0
 
 The format is found by what a file holds, not by its name; gzip and bzip2 are unpacked. Frames that are whole
@@ -18,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from chachart.node.commands.importing import arrays, places, report, wifi
+from chachart.node.commands.importing import arrays, places, report, several, wifi
 from chachart.node.commands.importing.geometry import geometry
 from chachart.node.commands.importing.options import add_arguments
 from chachart.node.commands.importing.table import Band, Part, drop_bad, refuse_losses, table_of
@@ -28,6 +29,7 @@ from chachart.node.data.facts import CaptureFacts
 from chachart.node.files.recording import RecordingWriter
 from chachart.sources.formats import open_capture
 from chachart.sources.formats.base import Capture
+from chachart.sources.formats.raytraced import is_raytraced
 from chachart.sources.formats.wifi.capture import WifiCapture
 from chachart.sources.formats.wifi.log import mac
 
@@ -46,6 +48,8 @@ def run(arguments: argparse.Namespace) -> int:
         check_writable(arguments.recording, arguments.force, path)
     _check(arguments)
     captures = [open_capture(path) for path in arguments.captures]
+    if len(captures) == 1 and is_raytraced(captures[0]) and arguments.csi is None:
+        return several.run(captures[0], arguments)
     is_wifi = [isinstance(capture, WifiCapture) for capture in captures]
     if any(is_wifi) != all(is_wifi):
         raise SetupError("Wi-Fi captures and files of arrays do not go into one recording")

@@ -3,7 +3,8 @@
 The layout, for whoever reads such a file with another tool:
 
 - A Metadata record `chachart.csi` stands at the start, so that it survives a kill: `format` ("1"), `array`
-  (JSON, the fields of `ArrayGeometry`, calibration included), `note` (JSON, what the writer had to say) and
+  (JSON, the fields of `ArrayGeometry`, calibration included), `others` (JSON, a list of further arrays, where
+  several measured; each frame says whose it is), `note` (JSON, what the writer had to say) and
   `facts` (JSON, what phase and delay mean and who the UEs are; older recordings have none).
 - Chunks of 256 KiB without compression; CSI is noise to a compressor. Each goes to the operating system when
   it is full: a writer that is killed loses its last chunk and nothing else.
@@ -17,13 +18,11 @@ The layout, for whoever reads such a file with another tool:
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
-
-import numpy as np
 
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
@@ -31,6 +30,7 @@ from chachart.node.data.errors import SetupError
 from chachart.node.data.facts import CaptureFacts
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.files.chart_log import is_chart_log
+from chachart.node.files.cuts import between, joined
 from chachart.node.files.mcap_chunks import ChunkSpan, DamagedChunk, FileIndex, read_index, read_messages
 from chachart.node.files.mcap_writer import McapWriter, OutgoingMessage
 from chachart.node.files.recording_totals import Account, RecordingSummary, Totals, density
@@ -50,7 +50,7 @@ position (bin, three <f4 a frame, metres; may be absent), csi (bin, the samples 
 
 
 class RecordingWriter:
-    """Writes the CSI of one array to a new file.
+    """Writes the CSI of an array, or of several, to a new file.
 
     Parameters
     ----------
@@ -62,6 +62,8 @@ class RecordingWriter:
         Anything else worth keeping, plain JSON values.
     facts
         What phase and delay mean and who the UEs are; not given: a coherent array with a clock.
+    others
+        Further arrays, each with a name of its own.
     chunk_bytes
         A chunk goes to the operating system when it holds so much.
 
@@ -78,10 +80,12 @@ class RecordingWriter:
         *,
         note: Mapping[str, Any] | None = None,
         facts: CaptureFacts | None = None,
+        others: Sequence[ArrayGeometry] = (),
         chunk_bytes: int = 256 * 1024,
     ) -> None:
         self.path = Path(path)
         self.array = array
+        self._shapes = {a.name: (a.antennas, a.subcarriers) for a in (array, *others)}
         self._account = Account()
         self._chunk_bytes = chunk_bytes
         self._gathered: list[CsiBlock] = []
@@ -96,6 +100,8 @@ class RecordingWriter:
             self._writer = McapWriter(self._file, "csi", "msgpack", "chachart.csi", _SCHEMA)
             head = {"format": FORMAT, "array": json.dumps(array.as_dict()), "note": json.dumps(note or {})}
             head["facts"] = json.dumps((facts or CaptureFacts()).as_dict())
+            if others:
+                head["others"] = json.dumps([other.as_dict() for other in others])
             self._writer.add_metadata(_HEAD, head)
         except OSError as error:
             self._file.close()
@@ -108,13 +114,14 @@ class RecordingWriter:
         Raises
         ------
         ValueError
-            If the block does not have the array's antennas and subcarriers.
+            If the block does not have its array's antennas and subcarriers.
         OSError
             If the disk takes no more.
         """
-        if (block.antennas, block.subcarriers) != (self.array.antennas, self.array.subcarriers):
+        fits = self._shapes.get(block.array, (self.array.antennas, self.array.subcarriers))
+        if (block.antennas, block.subcarriers) != fits:
             raise ValueError(
-                f"a recording of {self.array.antennas} x {self.array.subcarriers} takes no frames of "
+                f"a recording of {fits[0]} x {fits[1]} takes no frames of "
                 f"{block.antennas} x {block.subcarriers}"
             )
         self._gathered.append(block)
@@ -129,7 +136,7 @@ class RecordingWriter:
         blocks, self._gathered, self._gathered_bytes = self._gathered, [], 0
         pieces: list[CsiBlock] = []
         size = 0
-        for block in _joined(blocks):
+        for block in joined(blocks):
             step = max(1, min(MESSAGE_FRAMES, MESSAGE_BYTES // block.csi[0].nbytes))
             for start in range(0, len(block), step):
                 pieces.append(block.cut(start, start + step))
@@ -195,7 +202,9 @@ class RecordingReader:
     Attributes
     ----------
     array, note, facts
-        The array, the note, and the facts in the file.
+        The array (the first of several), the note, and the facts in the file.
+    arrays
+        All of them.
     damaged
         Chunks and messages that `blocks` left out, by reason.
 
@@ -213,9 +222,11 @@ class RecordingReader:
             raise SetupError(f"{path} is a chart log and holds no CSI; a recording is needed")
         self._index: FileIndex = read_index(self.path)
         self._totals = Totals.parse(self._index.metadata.get(_TOTALS, {}))
-        self.array, self.note, self.facts = self._head()
+        self.arrays, self.note, self.facts = self._head()
+        self.array = self.arrays[0]
+        self._shapes = {a.name: (a.antennas, a.subcarriers) for a in self.arrays}
 
-    def _head(self) -> tuple[ArrayGeometry, dict[str, Any], CaptureFacts]:
+    def _head(self) -> tuple[tuple[ArrayGeometry, ...], dict[str, Any], CaptureFacts]:
         head = self._index.metadata.get(_HEAD)
         if head is None:
             what = "holds no CSI" if self._index.closed else "was cut off before its description of the array"
@@ -225,7 +236,8 @@ class RecordingReader:
         try:
             array, note = json.loads(head["array"]), json.loads(head["note"])
             facts = CaptureFacts.from_dict(json.loads(head.get("facts", "{}")))
-            return ArrayGeometry.from_dict(array), dict(note), facts
+            arrays = [ArrayGeometry.from_dict(a) for a in (array, *json.loads(head.get("others", "[]")))]
+            return tuple(arrays), dict(note), facts
         except (KeyError, ValueError, TypeError, RecursionError) as error:
             raise SetupError(f"{self.path} does not describe its array: {error}") from None
 
@@ -291,7 +303,7 @@ class RecordingReader:
                         if end_ns is not None and message.log_ns >= max(end_ns, 1):
                             continue
                         block = self._block(message.data, damaged)
-                        block = None if block is None else _between(block, start_ns, end_ns)
+                        block = None if block is None else between(block, start_ns, end_ns)
                         if block is not None:
                             yield block
                 except DamagedChunk as error:
@@ -312,35 +324,8 @@ class RecordingReader:
         except WireError as error:
             damaged.add(error.reason)
             return None
-        if (block.antennas, block.subcarriers) != (self.array.antennas, self.array.subcarriers):
+        fits = self._shapes.get(block.array, self._shapes[self.array.name])
+        if (block.antennas, block.subcarriers) != fits:
             damaged.add("shape")
             return None
         return block
-
-
-def _joined(blocks: list[CsiBlock]) -> Iterator[CsiBlock]:
-    """The same frames in fewer blocks: those that follow each other become one."""
-    run: list[CsiBlock] = []
-    for block in blocks:
-        if run and not (
-            block.array == run[-1].array
-            and block.seq == run[-1].seq + len(run[-1])
-            and (block.position is None) == (run[-1].position is None)
-        ):
-            yield CsiBlock.concatenate(run)
-            run = []
-        run.append(block)
-    if run:
-        yield CsiBlock.concatenate(run)
-
-
-def _between(block: CsiBlock, start_ns: int | None, end_ns: int | None) -> CsiBlock | None:
-    """The frames of a block in a range of time; the block itself where that is all of them."""
-    keep = np.ones(len(block), bool)
-    if start_ns is not None:
-        keep &= block.time_ns >= start_ns
-    if end_ns is not None:
-        keep &= block.time_ns < end_ns
-    if keep.all():
-        return block
-    return block.take(keep) if keep.any() else None

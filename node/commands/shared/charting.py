@@ -83,9 +83,10 @@ def settings_for(arguments: argparse.Namespace, reader: RecordingReader) -> Node
     """
     for change in arguments.set:
         section = change.partition(".")[0].strip()
-        if section not in ("estimator", "quality"):
+        if section not in ("estimator", "quality", "fusion", "tracking"):
             raise SetupError(
-                f"--set {change}: only [estimator] and [quality] count, the array is the recording's"
+                f"--set {change}: only [estimator], [quality], [fusion] and [tracking] count, "
+                "the array is the recording's"
             )
     theta, rho = arguments.theta, arguments.rho
     if theta is None or rho is None:

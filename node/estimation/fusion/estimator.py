@@ -23,6 +23,7 @@ from chachart.node.estimation.fusion.receiver import Receiver
 from chachart.node.estimation.fusion.sighted import sightings
 from chachart.node.estimation.slots import SlotTable
 from chachart.node.estimation.state import Slots
+from chachart.node.estimation.tracking.smoother import Logbook
 from chachart.node.estimation.tracking.tracker import Tracked, Tracker
 
 METHOD: Final = Method("fusion", "fusion")
@@ -51,6 +52,8 @@ class FusedEstimator:
         Frames that were not used, by reason: `shape`, `zero`, `not_finite`, `out_of_range`, `unknown_array`.
     heard
         Frames that were used, by array.
+    logbook
+        Gets every state of every track, where there is one.
 
     Raises
     ------
@@ -83,6 +86,7 @@ class FusedEstimator:
         self._tracker = None if motion == "off" else Tracker(motion, self.tracking.lag)
         self._max_ues = max_ues
         self.rejected, self.heard = Counters(), Counters()
+        self.logbook: Logbook | None = None
 
     @property
     def method(self) -> Method:
@@ -148,7 +152,7 @@ class FusedEstimator:
         if height is None:
             height = 0.0 if first.height_m is None else float(first.centre_m[2]) - first.height_m
         level = None if height == "free" else float(height)
-        outline = None if told.outline_m is None else tuple(told.outline_m)
+        outline = told.outline_m
         box = told.area_m
         if box is None and outline is not None:
             x, y = zip(*outline, strict=True)
@@ -195,7 +199,11 @@ class FusedEstimator:
         self._tracker.clear(assigned.new)
         slots = assigned.slots
         fused = self._fuser.locate(events.frames, self._near(slots, events.time_ns))
-        return self._published(events, fused, self._tracker.update(slots, events.time_ns, sightings(fused)))
+        tracked = self._tracker.update(slots, events.time_ns, sightings(fused))
+        if self.logbook is not None:
+            models = self._tracker.models(slots)
+            self.logbook.add(events.ue, tracked.time_ns, tracked.state, tracked.covariance, models)
+        return self._published(events, fused, tracked)
 
     def _near(self, slots: Slots, time_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Where the tracks say that UEs are, as points (U, 1, 3) to search from."""

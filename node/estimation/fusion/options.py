@@ -24,9 +24,11 @@ class FusionOptions(Settings):
     """dz/dx and dz/dy of the ground that UEs are on; height_m is then that at x = y = 0."""
     heights_m: tuple[float, float] = (0.0, 3.0)
     """Lowest and highest world height where it is free."""
-    area_m: tuple[float, float, float, float] | None = None
+    area_m: tuple[float, float, float, float] | None = Field(None, examples=[(0.0, 0.0, 20.0, 15.0)])
     """Where UEs can be: x and y of the lower corner, then of the higher; not set: round the arrays."""
-    outline_m: Annotated[list[Corner], Field(min_length=3)] | None = None
+    outline_m: Annotated[tuple[Corner, ...], Field(min_length=3)] | None = Field(
+        None, examples=[((0.0, 0.0), (20.0, 0.0), (20.0, 12.0))]
+    )
     """Corners of a polygon that UEs are inside, as a building's; besides area_m or instead of it."""
     window_ms: float = Field(20.0, gt=0)
     """Frames of a UE that follow each other within this time are of one transmission."""

@@ -80,7 +80,7 @@ def smoothed(past: Past, motions: Motions) -> tuple[Floats, Floats]:
     """
     state, covariance = past.state.copy(), past.covariance.copy()
     for i in range(len(state) - 2, -1, -1):
-        dt = (past.time_ns[i + 1] - past.time_ns[i]) / 1e9
+        dt = np.where(past.first <= i, past.time_ns[i + 1] - past.time_ns[i], 0) / 1e9
         weight = past.model[i + 1]
         f = motions.transition(dt)
         ahead = np.einsum("ujde,ue->ujd", f, past.state[i])
@@ -92,3 +92,52 @@ def smoothed(past: Past, motions: Motions) -> tuple[Floats, Floats]:
         state[i] += np.einsum("ude,ue->ud", gain, state[i + 1] - mean)
         covariance[i] += gain @ (covariance[i + 1] - spread) @ gain.swapaxes(-1, -2)
     return state, covariance
+
+
+class Logbook:
+    """Filtered tracks of a whole recording, to be smoothed at its end."""
+
+    def __init__(self) -> None:
+        self._ue: list[NDArray[np.uint64]] = []
+        self._rest: list[tuple[NDArray[np.int64], Floats, Floats, Floats]] = []
+
+    def add(
+        self,
+        ue: NDArray[np.uint64],
+        time_ns: NDArray[np.int64],
+        state: Floats,
+        covariance: Floats,
+        model: Floats,
+    ) -> None:
+        """The newest states of some UEs (U,), as `Past` has them."""
+        self._ue.append(ue)
+        self._rest.append((time_ns, state, covariance, model))
+
+    def smoothed(self, motions: Motions) -> tuple[Floats, Floats]:
+        """States (K, 4) and covariances (K, 4, 4) of all that was added, in that order."""
+        ue = np.concatenate(self._ue)
+        time_ns, state, covariance, model = (np.concatenate(part) for part in zip(*self._rest, strict=True))
+        order = np.lexsort((time_ns, ue))
+        _, column, count = np.unique(ue[order], return_inverse=True, return_counts=True)
+        depth = int(count.max())
+        first = depth - count
+        starts = np.cumsum(count) - count
+        row = np.arange(len(ue)) - starts[column] + first[column]
+        shape = (depth, len(count))
+        past = Past(
+            np.zeros(shape, np.int64),
+            np.zeros((*shape, 4)),
+            np.tile(np.eye(4), (*shape, 1, 1)),
+            np.full((*shape, len(motions)), 1 / len(motions)),
+            first.astype(np.intp),
+        )
+        for rows, values in (
+            (past.time_ns, time_ns),
+            (past.state, state),
+            (past.covariance, covariance),
+            (past.model, model),
+        ):
+            rows[row, column] = values[order]
+        found, around = smoothed(past, motions)
+        back = np.argsort(order)
+        return found[row, column][back], around[row, column][back]

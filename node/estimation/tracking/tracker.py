@@ -125,6 +125,11 @@ class Tracker(SlotState):
             before[first, users], around[first, users], self._missed[slots], past.time_ns[first, users]
         )
 
+    def models(self, slots: Slots) -> Floats:
+        """Probabilities (U, J) of the models that the tracks of `slots` follow."""
+        models: Floats = self._model[slots, 0]
+        return models
+
     def expected(self, slots: Slots, time_ns: NDArray[np.int64]) -> Floats:
         """Where the UEs in `slots` should be at `time_ns`, (U, 2); NaN for those not seen yet."""
         state, _ = self._beliefs(slots, 0).merged()
