@@ -53,13 +53,14 @@ class Source(ABC):
         What came in and was no usable frame, counted by reason.
     complaint
         What was wrong with the last of it, in words for people; None where nothing was.
-    security
-        `[security]`; whoever runs the source sets it before `open`.
+    security, others
+        `[security]`, and further arrays whose frames come; whoever runs the source sets them before `open`.
     """
 
     Settings: ClassVar[type[SourceSettings]]
     lossless: bool = False
     security: SecuritySettings = SecuritySettings()
+    others: tuple[ArrayGeometry, ...] = ()
 
     def __init__(self, settings: Any, array: ArrayGeometry) -> None:
         self.settings = settings
@@ -70,6 +71,28 @@ class Source(ABC):
     @classmethod
     def carried_array(cls, settings: Any) -> ArrayGeometry | None:
         """The array that the source itself describes (a recording does), or None.
+
+        Raises
+        ------
+        SetupError
+            If the source cannot be read.
+        """
+        return None
+
+    @classmethod
+    def carried_others(cls, settings: Any) -> tuple[ArrayGeometry, ...]:
+        """Further arrays that the source describes, as `carried_array`.
+
+        Raises
+        ------
+        SetupError
+            If the source cannot be read.
+        """
+        return ()
+
+    @classmethod
+    def carried_area(cls, settings: Any) -> tuple[float, float, float, float] | None:
+        """Lower and higher corner of where its UEs can be, where the source knows it.
 
         Raises
         ------

@@ -80,6 +80,17 @@ class Recording(Source):
         return RecordingReader(settings.path).facts
 
     @classmethod
+    def carried_others(cls, settings: RecordingSettings) -> tuple[ArrayGeometry, ...]:
+        """The other arrays in the file."""
+        return RecordingReader(settings.path).arrays[1:]
+
+    @classmethod
+    def carried_area(cls, settings: RecordingSettings) -> tuple[float, float, float, float] | None:
+        """What the importer noted."""
+        area = RecordingReader(settings.path).note.get("area_m")
+        return None if area is None else (area[0], area[1], area[2], area[3])
+
+    @classmethod
     def problems(cls, settings: RecordingSettings) -> list[str]:
         """Whether the file can be read and has frames between `from_s` and `to_s`."""
         try:
@@ -130,7 +141,8 @@ class Recording(Source):
         block = self._waiting.cut(0, ready)
         more = ready < len(self._waiting)
         self._waiting = self._waiting.cut(ready, len(self._waiting)) if more else next(self._blocks, None)
-        block = replace(block, array=self.array.name, seq=self._played)
+        theirs = any(block.array == other.name for other in self.others)
+        block = replace(block, array=block.array if theirs else self.array.name, seq=self._played)
         self._played += len(block)
         self._latest_ns = max(self._latest_ns, int(block.time_ns.max()))
         return block

@@ -33,6 +33,7 @@ def main() -> int:
         source_class = load_class(settings["source"]["class"])
         source_settings = source_class.Settings.model_validate(settings["source"]["settings"])
         source = source_class(source_settings, ArrayGeometry.from_dict(settings["array"]))
+        source.others = tuple(ArrayGeometry.from_dict(other) for other in settings["others"])
         source.security = SecuritySettings.model_validate(settings["security"])
         Dispatcher(settings, source, context, results).run()
     except StartOver as reason:

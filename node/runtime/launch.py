@@ -30,6 +30,7 @@ class Launcher:
             "log_level": log_level,
             "directory": str(links.directory),
             "array": plan.array.as_dict(),
+            "others": [other.as_dict() for other in plan.others],
         }
         self.tally = links.directory / "frames-in"
         durable = plan.state.directory is not None
@@ -77,6 +78,7 @@ class Launcher:
             "count": self._plan.workers.count,
             "estimator": self._plan.worker_estimator(),
             "state": self._state,
+            "several": self._plan.several(),
         }
         return Child(f"worker {shard}", "chachart.node.runtime.worker", settings)
 

@@ -105,6 +105,9 @@ class Partitioner:
         start = 0
         while start < len(block):
             pending = self._pending[shard]
+            if pending.frames and pending.blocks[-1].array != block.array:
+                yield self._emit(shard)
+                pending = self._pending[shard]
             stop = min(len(block), start + self._block_frames - pending.frames)
             if not pending.frames:
                 pending.start = int(numbers[start])

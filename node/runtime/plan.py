@@ -20,9 +20,11 @@ from chachart.config.settings import (
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
+from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
 from chachart.node.estimation.options import Options
 from chachart.node.net.security import SecuritySettings, security_problems
 from chachart.node.runtime.capacity import capacity_problems
+from chachart.node.runtime.processor import estimator_of
 from chachart.sinks.base import Sink, SinkSettings
 from chachart.sources.base import Source, SourceSettings
 
@@ -35,11 +37,11 @@ class Plan:
 
     Attributes
     ----------
-    array
-        The one from `[array]`, or the one that the source carries.
+    array, others
+        The one from `[array]`, or the one that the source carries; further ones that it carries.
     source, source_settings, sinks
         Classes with their settings.
-    estimator, workers, quality, state, security
+    estimator, workers, quality, state, security, fusion, tracking
         The other sections of the configuration.
     time_tolerance_s
         How far the time of a live frame may be from this host's.
@@ -55,6 +57,9 @@ class Plan:
     sinks: tuple[tuple[type[Sink], SinkSettings], ...]
     security: SecuritySettings = field(default_factory=SecuritySettings)
     time_tolerance_s: float = TIME_TOLERANCE_S
+    others: tuple[ArrayGeometry, ...] = ()
+    fusion: FusionOptions = field(default_factory=FusionOptions)
+    tracking: TrackingOptions = field(default_factory=TrackingOptions)
 
     @classmethod
     def of(cls, settings: NodeSettings) -> Plan:
@@ -77,6 +82,9 @@ class Plan:
             tuple((sink_class(sink.type), sink) for sink in settings.sinks),
             settings.security,
             TIME_TOLERANCE_S if settings.array is None else settings.array.time_tolerance_s,
+            source.carried_others(settings.source),
+            settings.fusion,
+            settings.tracking,
         )
 
     def problems(self) -> list[str]:
@@ -87,8 +95,17 @@ class Plan:
             found += settings.exposure(self.security) + sink.problems(settings)
         found += self._shared_endpoints()
         found += self._state_problems()
-        found += estimator_problems(self.array, self.estimator)
+        found += estimator_problems(self.array, self.estimator) if self.several() is None else self._misfits()
         return list(dict.fromkeys(found))
+
+    def _misfits(self) -> Iterator[str]:
+        """Why the arrays cannot be fused or their UEs tracked."""
+        try:
+            estimator_of(self.array, self.estimator.keywords() | {"max_ues": 1}, self.several())
+        except ValueError as error:
+            yield f"[fusion]: {error}"
+        if any(sink.wants_csi for sink, _ in self.sinks) and self.others:
+            yield "frames of several arrays cannot be recorded by a node yet: leave the recorder out"
 
     def _state_problems(self) -> Iterator[str]:
         directory = self.state.directory
@@ -117,6 +134,19 @@ class Plan:
         """Frames in a block; never more than the UEs that a worker may hold, or than a message should."""
         fit = max(1, BLOCK_BYTES // (8 * self.array.antennas * self.array.subcarriers))
         return min(self.workers.block_frames, int(self.worker_estimator()["max_ues"]), fit)
+
+    def several(self) -> dict[str, Any] | None:
+        """What a worker needs besides the array for fusion or tracking; None where there is neither."""
+        if not self.others and self.tracking.motion == "off":
+            return None
+        fusion = self.fusion.model_dump(mode="json")
+        if self.fusion.area_m is None and self.fusion.outline_m is None:
+            fusion["area_m"] = self.source.carried_area(self.source_settings)
+        return {
+            "others": [other.as_dict() for other in self.others],
+            "fusion": fusion,
+            "tracking": self.tracking.model_dump(mode="json"),
+        }
 
     def worker_estimator(self) -> dict[str, Any]:
         """ChartEstimator's arguments for each worker, which gets its share of the UEs.

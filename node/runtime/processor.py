@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -16,6 +17,9 @@ from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import RequestError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
+from chachart.node.estimation.fusion.estimator import FusedEstimator
+from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
+from chachart.node.estimation.options import Options
 from chachart.node.estimation.state import Snapshot
 from chachart.node.runtime.table import ChartTable
 
@@ -109,6 +113,8 @@ class BlockProcessor:
         The array, and ChartEstimator's other arguments (the fields of Options).
     clock
         What tells when UEs have been unseen for too long.
+    several
+        What else fusion and tracking need, see `Plan.several`; None: the array is charted on its own.
 
     Attributes
     ----------
@@ -116,8 +122,15 @@ class BlockProcessor:
         Rows held back because a method that must be trained was not, so far.
     """
 
-    def __init__(self, array: ArrayGeometry, estimator: Mapping[str, Any], clock: FrameClock) -> None:
-        self._estimator = ChartEstimator(array, **estimator)
+    def __init__(
+        self,
+        array: ArrayGeometry,
+        estimator: Mapping[str, Any],
+        clock: FrameClock,
+        several: Mapping[str, Any] | None = None,
+    ) -> None:
+        self._estimator = estimator_of(array, estimator, several)
+        self._name = several["fusion"]["name"] if several else array.name
         self._forget_after_ns = int((estimator.get("forget_after_s") or 0) * 1e9)
         self._next_forget_ns: int | None = None
         self._rejected: dict[str, int] = {}
@@ -186,7 +199,7 @@ class BlockProcessor:
         self._rejected = self._estimator.rejected.as_dict()
         self._rows = LatestRows(self._estimator.options.max_ues)
         if len(rows.get("ue", ())):
-            update = ChartUpdate(self._estimator.array.name, self._estimator.method, **rows)
+            update = ChartUpdate(self._name, self._estimator.method, **rows)
             self._rows.add(update)
             self.clock.see(int(update.time_ns.max()))
 
@@ -227,6 +240,24 @@ class BlockProcessor:
         if spectrum is None:
             raise RequestError(f"UE {ue} is not on the chart")
         return {key: _plain(value) for key, value in spectrum.items()}
+
+
+def estimator_of(
+    array: ArrayGeometry, estimator: Mapping[str, Any], several: Mapping[str, Any] | None
+) -> ChartEstimator | FusedEstimator:
+    """The estimator of an array on its own, or of it and others.
+
+    Raises
+    ------
+    ValueError
+        If something does not fit.
+    """
+    if several is None:
+        return ChartEstimator(array, **estimator)
+    arrays = [array, *(ArrayGeometry.from_dict(other) for other in several["others"])]
+    fusion = FusionOptions.model_validate_json(json.dumps(several["fusion"]))
+    tracking = TrackingOptions.model_validate(several["tracking"])
+    return FusedEstimator(arrays, fusion, tracking, Options.of(**estimator))
 
 
 def _plain(value: Any) -> Any:

@@ -103,6 +103,7 @@ class Reader:
         self.stirred = time.monotonic()
         self.antennas = AntennaLooks(source.array)
         self._source = source
+        self._arrays = {array.name: array for array in source.others}
         self._partitioner = partitioner
         self._queues = queues
         self._tally = tally
@@ -195,7 +196,8 @@ class Reader:
         block = self._source.recv(min(max(wait, 0.0), RECV_TIMEOUT_S))
         now = self.stirred = time.monotonic()
         if block is not None and self._fits(block):
-            self.antennas.see(block, now)
+            if not self._arrays or block.array == self._source.array.name:
+                self.antennas.see(block, now)
             self._take(block, now)
         self._pass_on(self._partitioner.due(now + TIMER_S))
 
@@ -233,7 +235,7 @@ class Reader:
             self.marks.add(Mark(self._number, self._source.position()))
 
     def _fits(self, block: CsiBlock) -> bool:
-        array = self._source.array
+        array = self._arrays.get(block.array, self._source.array)
         if (block.antennas, block.subcarriers) != (array.antennas, array.subcarriers):
             self.rejected.add("shape", len(block))
             self.complaint = misfit((block.antennas, block.subcarriers), array)

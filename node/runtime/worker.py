@@ -20,11 +20,11 @@ from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import RequestError
 from chachart.node.data.geometry import ArrayGeometry
-from chachart.node.estimation.estimator import ChartEstimator
+from chachart.node.estimation.fusion.estimator import FusedEstimator
 from chachart.node.net.wire import decode_csi
 from chachart.node.runtime import messages
 from chachart.node.runtime.child import read_settings
-from chachart.node.runtime.processor import BlockProcessor, FrameClock, Outcome
+from chachart.node.runtime.processor import BlockProcessor, FrameClock, Outcome, estimator_of
 from chachart.node.runtime.progress import Mark
 from chachart.node.runtime.worker_state import WorkerState
 
@@ -50,7 +50,9 @@ class Worker:
         self._merge_frames: int = settings["estimator"]["max_ues"]
         self._array = ArrayGeometry.from_dict(settings["array"])
         self._estimator: dict[str, Any] = settings["estimator"]
-        self._processor = BlockProcessor(self._array, self._estimator, FrameClock(live=False))
+        self._several: dict[str, Any] | None = settings["several"]
+        clock = FrameClock(live=False)
+        self._processor = BlockProcessor(self._array, self._estimator, clock, self._several)
         state = settings["state"]
         folder = None if state["folder"] is None else Path(state["folder"])
         self._state = WorkerState(folder, self._shard, self._count, state["durable"])
@@ -63,7 +65,7 @@ class Worker:
 
     def run(self) -> None:
         """Serve until the feeder says that nothing more will come."""
-        warm_up(self._array, self._estimator)
+        warm_up(self._array, self._estimator, self._several)
         self._hello()
         while (message := self._receive(self._patience_ms())) is None or message[0] != messages.END:
             if message is not None:
@@ -119,6 +121,7 @@ class Worker:
             header, block = messages.unpack(message[1][0]), decode_csi(message[1][1:])
             frames, size = frames + len(block), size + block.csi.nbytes
             alike = all(header[key] == first[key] for key in ("method", "round", "again"))
+            alike &= block.array == blocks[0].array
             if frames > self._merge_frames or size > MERGE_BYTES or not alike:
                 break
             headers.append(header)
@@ -195,14 +198,17 @@ class Worker:
         self._socket.send_multipart([messages.REPLY, messages.pack(answer)])
 
 
-def warm_up(array: ArrayGeometry, estimator: dict[str, Any]) -> None:
+def warm_up(array: ArrayGeometry, estimator: dict[str, Any], several: dict[str, Any] | None = None) -> None:
     """Estimate noise with a throw-away estimator: the first call takes longer than live frames can wait."""
     frame_bytes = 8 * array.antennas * array.subcarriers
     frames = min(max(MERGE_BYTES // frame_bytes, 1), WARM_UP_FRAMES)
     shape = (frames, array.antennas, 2 * array.subcarriers)
     noise = np.random.default_rng(0).standard_normal(shape, np.float32).view(np.complex64)
     block = CsiBlock(array.name, 0, np.arange(frames, dtype=np.uint64), np.zeros(frames, np.int64), noise)
-    ChartEstimator(array, **estimator).update(block)
+    made = estimator_of(array, estimator, several)
+    made.update(block)
+    if isinstance(made, FusedEstimator):
+        made.flush()
 
 
 def main() -> None:

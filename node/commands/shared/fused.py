@@ -37,11 +37,7 @@ def estimator_of(reader: RecordingReader, settings: NodeSettings) -> FusedEstima
         fusion = FusionOptions.model_validate({**fusion.model_dump(), "area_m": tuple(area)})
     try:
         return FusedEstimator(
-            reader.arrays,
-            fusion,
-            settings.tracking,
-            delay=reader.facts.delay,
-            max_ues=settings.estimator.max_ues,
+            reader.arrays, fusion, settings.tracking, settings.estimator.obeying(reader.facts)
         )
     except ValueError as error:
         raise SetupError(f"[fusion]: {error}") from None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,11 @@ from chachart.node.estimation.fusion.fuser import Clock, Fuser
 from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
 from chachart.node.estimation.fusion.receiver import Receiver
 from chachart.node.estimation.fusion.sighted import sightings
-from chachart.node.estimation.slots import SlotTable
-from chachart.node.estimation.state import Slots
+from chachart.node.estimation.locator import Locator
+from chachart.node.estimation.memory import Copy, Memory
+from chachart.node.estimation.options import Options
+from chachart.node.estimation.snapshots import SEEN, counted, joined
+from chachart.node.estimation.state import ROWS, Slots, SlotState, Snapshot
 from chachart.node.estimation.tracking.smoother import Logbook
 from chachart.node.estimation.tracking.tracker import Tracked, Tracker
 
@@ -41,10 +44,9 @@ class FusedEstimator:
         The arrays, each with a name of its own.
     fusion, tracking
         See there.
-    delay
-        Whether UEs share the arrays' clock: with "relative", they do not.
-    max_ues
-        So many are followed; the longest unseen make room.
+    options
+        What counts of them: `max_ues`, `forget_after_s`, and `delay`: whether UEs share the arrays'
+        clock.
 
     Attributes
     ----------
@@ -66,9 +68,7 @@ class FusedEstimator:
         arrays: Sequence[ArrayGeometry],
         fusion: FusionOptions | None = None,
         tracking: TrackingOptions | None = None,
-        *,
-        delay: Delay = "absolute",
-        max_ues: int = 100_000,
+        options: Options | None = None,
     ) -> None:
         self.arrays = tuple(arrays)
         self.fusion, self.tracking = fusion or FusionOptions(), tracking or TrackingOptions()
@@ -77,14 +77,14 @@ class FusedEstimator:
             raise ValueError(f"arrays must have different names, not {[a.name for a in self.arrays]}")
         self._receivers = [Receiver(array) for array in self.arrays]
         sites = [receiver.site for receiver in self._receivers]
-        self.clock = clock_of(self.arrays, delay) if self.fusion.clock == "auto" else self.fusion.clock
+        self.options = options or Options()
+        self.clock = (
+            clock_of(self.arrays, self.options.delay) if self.fusion.clock == "auto" else self.fusion.clock
+        )
         self._fuser = Fuser(sites, self._area(), self.clock)
         shapes = [receiver.shape for receiver in self._receivers]
         self._gathering = Gathering(shapes, self.fusion.window_ms)
-        self._table = SlotTable(max_ues)
-        motion = self.tracking.motion
-        self._tracker = None if motion == "off" else Tracker(motion, self.tracking.lag)
-        self._max_ues = max_ues
+        self._memory, self._tracker = self._remembering()
         self.rejected, self.heard = Counters(), Counters()
         self.logbook: Logbook | None = None
 
@@ -96,7 +96,7 @@ class FusedEstimator:
     @property
     def ues(self) -> int:
         """How many UEs are known."""
-        return len(self._table)
+        return len(self._memory.table)
 
     @property
     def tracker(self) -> Tracker | None:
@@ -138,12 +138,55 @@ class FusedEstimator:
         found = [update for update in updates if len(update)]
         return ChartUpdate.concatenate(found) if found else self._nothing()
 
-    def forget(self, before_ns: int) -> NDArray[np.uint64]:
-        """Let go of the UEs that were last seen before then; returns them."""
-        slots = self._table.unseen_since(before_ns)
-        gone = self._table.ues(slots)
-        self._table.remove(slots)
+    def forget(self, now_ns: int) -> NDArray[np.uint64]:
+        """As `ChartEstimator.forget`."""
+        if self.options.forget_after_s is None:
+            return np.zeros(0, np.uint64)
+        table = self._memory.table
+        slots = table.unseen_since(now_ns - round(self.options.forget_after_s * 1e9))
+        gone = table.ues(slots)
+        table.remove(slots)
         return gone
+
+    def set_method(self, theta: str, rho: str) -> None:
+        """Nothing: fusion has one method, whatever single arrays are charted with."""
+
+    def spectrum(self, ue: int) -> None:
+        """None: a fused position has no spectrum over one angle."""
+
+    def copy(self) -> Copy:
+        """As `ChartEstimator.copy`: of all tracks. Frames that wait for other arrays are not in it."""
+        beside = {
+            "method": np.array([METHOD.theta, METHOD.rho]),
+            "known": self._memory.table.ues(self._memory.table.slots),
+        }
+        return self._memory.copy(touched=False, beside=beside | counted(self.rejected.as_dict()))
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """As `ChartEstimator.restore`.
+
+        Raises
+        ------
+        ValueError
+            If the snapshot is of other options; nothing has changed then.
+        """
+        snapshot = joined([snapshot])
+        if snapshot["method"].tolist() != [METHOD.theta, METHOD.rho]:
+            raise ValueError("the snapshot is of one array, not of fused ones")
+        rows = {name: values for name, values in snapshot.items() if name.endswith(ROWS)}
+        newest = np.sort(np.argsort(rows[SEEN], kind="stable")[-self.options.max_ues :])
+        memory, tracker = self._remembering()
+        memory.restore(snapshot | {name: values[newest] for name, values in rows.items()})
+        self._memory.give_up_copy()
+        self._memory, self._tracker = memory, tracker
+        self.rejected = Counters()
+        reasons, counts = snapshot["rejected.reasons"], snapshot["rejected.counts"]
+        self.rejected.merge({str(r): int(n) for r, n in zip(reasons, counts, strict=True)})
+
+    def _remembering(self) -> tuple[Memory, Tracker | None]:
+        motion = self.tracking.motion
+        tracker = None if motion == "off" else Tracker(motion, self.tracking.lag)
+        return Memory(self.options.max_ues, cast(Locator, tracker or SlotState())), tracker
 
     def _area(self) -> Area:
         told = self.fusion
@@ -186,18 +229,16 @@ class FusedEstimator:
         turn = _turns(events.ue)
         for i in range(int(turn.max()) + 1):
             now = events.take(turn == i)
-            for start in range(0, len(now), self._max_ues):
+            most = self.options.max_ues
+            for start in range(0, len(now), most):
                 part = np.zeros(len(now), np.bool_)
-                part[start : start + self._max_ues] = True
+                part[start : start + most] = True
                 yield self._row(now.take(part))
 
     def _row(self, events: Events) -> ChartUpdate:
-        assigned = self._table.assign(events.ue, events.time_ns)
+        slots = self._memory.assign(events.ue, events.time_ns).slots
         if self._tracker is None:
             return self._published(events, self._fuser.locate(events.frames), None)
-        self._tracker.resize(self._table.capacity)
-        self._tracker.clear(assigned.new)
-        slots = assigned.slots
         fused = self._fuser.locate(events.frames, self._near(slots, events.time_ns))
         tracked = self._tracker.update(slots, events.time_ns, sightings(fused))
         if self.logbook is not None:

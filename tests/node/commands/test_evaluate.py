@@ -158,7 +158,10 @@ def test_a_setting_that_would_not_count_is_refused(
     recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["evaluate", str(recording), "--set", "array.antennas=4"]) == 78
-    assert "--set array.antennas=4: only [estimator], [quality], [fusion] and [tracking] count" in capsys.readouterr().err
+    assert (
+        "--set array.antennas=4: only [estimator], [quality], [fusion] and [tracking] count"
+        in capsys.readouterr().err
+    )
 
 
 def wifi(path: Path, facts: CaptureFacts, antennas: int = 3, places: np.ndarray | None = None) -> Path:
