@@ -19,6 +19,8 @@ MOST_POINTS = 12_000
 OUTSIDE = 0.5
 """An area that is not given reaches this part of the arrays' extent beyond them, at least `LEAST_M`."""
 LEAST_M = 10.0
+FARTHEST_M = 1000.0
+"""Round one array alone, it reaches as far as delays are unambiguous, at most so far."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ class Area:
         low, high = centres.min(axis=0), centres.max(axis=0)
         beyond = max(OUTSIDE * float((high - low).max()), LEAST_M)
         if len(sites) == 1:
-            beyond = sites[0].unambiguous_m / 2
+            beyond = min(sites[0].unambiguous_m, FARTHEST_M)
         a, b = low - beyond, high + beyond
         return cls((float(a[0]), float(a[1])), (float(b[0]), float(b[1])), height_m)
 

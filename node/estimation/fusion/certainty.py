@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from chachart.node.estimation.fusion.climb import Peaks
 from chachart.node.estimation.fusion.site import Floats
@@ -114,7 +115,7 @@ def judged(said: Said, peaks: Peaks, basis: Floats, spread: Floats) -> Fused:
         "rival": np.maximum(np.where(away > APART_M, gap, -np.inf).max(axis=1), _FAINTEST),
     }
     odds = np.stack([LOG_ODDS[name] * value for name, value in signs.items()]).sum(axis=0)
-    outlier = 1 / (1 + np.exp(-odds))
+    outlier = expit(odds)
     tops = np.einsum("di,umde,ej->umij", basis, HESSIAN_SHARE * covariances, basis)
     whole = tops[users, best] + (SPREAD_SHARE * outlier)[:, None, None] * spread
     deaf: NDArray[np.bool_] = (said.weight == 0).all(axis=1)
