@@ -22,6 +22,7 @@ BENCHMARKS = {
     "damage": "mutated captures of every format: frames or a clean error, whatever the bytes",
     "flow": "recordings, the wire and the sinks by themselves",
     "scale": "more UEs, antennas and subcarriers: time a frame and memory",
+    "snapshots": "how long a snapshot holds up estimates, and what snapshots cost",
     "soak": "hours of running: how memory, open files and threads grow",
     "kills": "kill -9 of any process at any moment: what the chart is afterwards",
     "view": "what the live view costs a node, without and with a viewer",

@@ -109,6 +109,9 @@ class Dispatcher:
         try:
             for spec in self._settings["csi_sinks"]:
                 self._csi_sinks.add(load_class(spec["class"]), spec["settings"])
+            for shard in range(self._count):
+                with self._queues.shard(shard) as queue:
+                    queue.can_read_again = self._source.lossless and self._source.position() is not None
             self._tell(messages.READY, {"lossless": self._source.lossless})
             self._serve()
         finally:

@@ -270,10 +270,11 @@ class Node:
         return self._launch.feeder(self._method, counted)
 
     def _feeder_died(self) -> None:
-        """Take what it had still sent; without it, nothing can be drained."""
+        """Take what it had still sent. One that fails before it is ready would again; to drain takes one."""
         for kind, body, *rest in self._links.receive(0):
             self._handle(kind, messages.unpack(body), rest)
-        if self._give_up_at is not None or not self._ready.is_set():
+        failed = not self._ready.is_set() and self._feeder.supervised.last_code > 0
+        if self._give_up_at is not None or failed:
             self._give_up("the feeder process died")
 
     def _resume(self) -> None:

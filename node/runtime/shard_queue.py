@@ -83,6 +83,8 @@ class ShardQueue:
         The last block that is in a snapshot.
     retained_bytes
         CSI that is retained.
+    can_read_again
+        Whether the source can give again what is not retained: nothing waits for a snapshot then.
     can_snapshot
         False while snapshots cannot be written: nothing waits for one then.
     typical_s
@@ -110,19 +112,26 @@ class ShardQueue:
         self.ues_reset = 0
         self.covered_seq = -1
         self.retained_bytes = 0
+        self.can_read_again = False
         self.can_snapshot = retain_bytes > 0
         self.typical_s: float | None = None
 
     @property
     def full(self) -> bool:
         """Whether a lossless source must wait before the next `put`."""
-        waits = self.can_snapshot and self.retained_bytes >= self._retain_bytes
-        return waits or len(self._waiting) >= self._capacity
+        return (self._waits and self.retained_bytes >= self._retain_bytes) or len(
+            self._waiting
+        ) >= self._capacity
 
     @property
     def half_retained(self) -> bool:
         """Whether it is time for a snapshot, lest blocks have to go that are not in one."""
-        return self.retained_bytes > self._retain_bytes / 2
+        return not self.can_read_again and self.retained_bytes > self._retain_bytes / 2
+
+    @property
+    def _waits(self) -> bool:
+        """Whether blocks wait for a snapshot rather than being retained no longer."""
+        return self._lossless and self.can_snapshot and not self.can_read_again
 
     @property
     def replaying(self) -> bool:
@@ -260,12 +269,12 @@ class ShardQueue:
             return
         self._retained.append(entry)
         self.retained_bytes += entry.content.block.csi.nbytes
-        waits = self._lossless and self.can_snapshot
-        while self.retained_bytes > self._retain_bytes and not waits:
+        while self.retained_bytes > self._retain_bytes and not self._waits:
             oldest = self._retained.popleft()
             self.retained_bytes -= oldest.content.block.csi.nbytes
             self._unretained_seq = oldest.seq
-            self._unretained_ues.update(oldest.content.block.ue.tolist())
+            if not self.can_read_again:
+                self._unretained_ues.update(oldest.content.block.ue.tolist())
 
     def _kill(self, entry: Entry) -> None:
         """Never again send a block that kills workers."""

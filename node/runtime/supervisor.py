@@ -41,6 +41,8 @@ class SupervisedChild:
     ----------
     child
         The process, while there is one.
+    last_code
+        How the last one that died ended: its exit code, minus the signal's number where one killed it.
     restarts
         How often it had to be started again.
     """
@@ -56,6 +58,7 @@ class SupervisedChild:
         self.name = name
         self.child: Child | None = None
         self.restarts = 0
+        self.last_code = 0
         self._start = start
         self._on_death = on_death
         self._most_deaths = most_deaths
@@ -103,7 +106,7 @@ class SupervisedChild:
 
     def _bury(self, child: Child, code: int, now: float) -> None:
         child.close()
-        self.child = None
+        self.child, self.last_code = None, code
         if code == self._starts_over:
             self._start_at = now
             self._on_death(child.pid)

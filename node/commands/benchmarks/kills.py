@@ -188,6 +188,8 @@ class Trial:
         before: list[int] = []
 
         def moving(status: dict[str, Any]) -> bool:
+            if status["state"] == "starting":
+                return False
             before.append(status["frames_estimated"])
             return before[-1] > before[0]
 

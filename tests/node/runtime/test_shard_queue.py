@@ -129,6 +129,18 @@ def test_a_lossless_queue_waits_for_a_snapshot_unless_there_can_be_none() -> Non
     assert not queue.full
 
 
+def test_nothing_waits_for_a_snapshot_where_the_source_can_be_read_again() -> None:
+    size = shard_block(2).block.csi.nbytes
+    queue = ShardQueue(capacity=8, credit=8, lossless=True, retain_bytes=2 * size)
+    queue.can_read_again = True
+    for n in range(4):
+        queue.put(shard_block(2, n))
+        estimate(queue, take_all(queue))
+        assert not queue.full
+        assert not queue.half_retained
+    assert queue.worker_up(-1, 0, {}, ues=1).lost == 4
+
+
 def test_a_new_queue_goes_on_counting_where_the_worker_is() -> None:
     queue = ShardQueue(capacity=8, credit=8, lossless=True, retain_bytes=10_000)
     assert queue.worker_up(41, 80, {"zero": 4}, ues=3).lost == 0
