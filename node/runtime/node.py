@@ -299,7 +299,7 @@ class Node:
     def _look_after_children(self) -> None:
         if self._finished.is_set():
             return
-        reason = self._workers.check() or self._feeder.check()
+        reason = self._workers.check() or self._feeder.check() or self._quality.failure
         if self._finished.is_set():
             return
         if reason is not None:

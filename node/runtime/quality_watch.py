@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -21,6 +22,7 @@ from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.quality import assess
 from chachart.node.runtime import messages
 from chachart.node.runtime.child import Child, read_settings
+from chachart.node.runtime.supervisor import DEATHS_WINDOW_S
 
 log = logging.getLogger(__name__)
 
@@ -30,6 +32,7 @@ MOST_OF_TIME = 0.25
 """Share of the time that may go into quality, however long one report takes."""
 REPORT_WITHIN_S = 60.0
 POLL_S = 0.1
+MOST_DEATHS = 3
 
 
 class QualityWatch:
@@ -47,6 +50,13 @@ class QualityWatch:
         Starts the process that assesses, once there is something to assess.
     endpoint
         Where that process connects.
+
+    Attributes
+    ----------
+    latest
+        The latest report.
+    failure
+        That the process died too often, or None.
     """
 
     def __init__(
@@ -58,6 +68,8 @@ class QualityWatch:
         endpoint: str,
     ) -> None:
         self.latest: dict[str, Any] | None = None
+        self.failure: str | None = None
+        self._deaths: deque[float] = deque(maxlen=MOST_DEATHS)
         self._settings = settings
         self._chart = chart
         self._publish = publish
@@ -138,7 +150,13 @@ class QualityWatch:
                 child.kill()
                 child.close()
                 self._child = None
+                self._count_death()
                 raise RequestError("the quality process died or took too long")
+
+    def _count_death(self) -> None:
+        self._deaths.append(time.monotonic())
+        if len(self._deaths) == MOST_DEATHS and self._deaths[-1] - self._deaths[0] < DEATHS_WINDOW_S:
+            self.failure = f"the quality process died {MOST_DEATHS} times within a minute"
 
 
 def main() -> None:

@@ -182,6 +182,20 @@ def test_sockets_find_a_place_where_tmpdir_is_too_long(
     assert run(make_node())["frames_estimated"] == 1000
 
 
+def test_a_quality_process_that_dies_three_times_in_a_minute_ends_the_node(make_node: MakeNode) -> None:
+    node = make_node(loops=0)
+    node.start()
+    killed: list[int] = []
+    for _ in range(3):
+        until(lambda: set(children(os.getpid(), "quality")) - set(killed), "there is one")
+        [process] = set(children(os.getpid(), "quality")) - set(killed)
+        killed.append(process)
+        os.kill(process, signal.SIGKILL)
+    assert node.wait(DEADLINE_S)
+    assert node.failure == "the quality process died 3 times within a minute"
+    assert adds_up(node.close())
+
+
 def test_a_feeder_that_dies_three_times_in_a_minute_ends_the_node(make_node: MakeNode) -> None:
     node = make_node(loops=0)
     node.start()
