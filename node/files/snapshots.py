@@ -12,7 +12,7 @@ import os
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,11 @@ class SnapshotError(Exception):
 
 
 def write_snapshot(
-    path: Path, facts: Mapping[str, Any], arrays: Iterable[tuple[str, NDArray[Any]]], durable: bool
+    path: Path,
+    facts: Mapping[str, Any],
+    arrays: Iterable[tuple[str, NDArray[Any]]],
+    durable: bool,
+    wanted: Callable[[], bool] = lambda: True,
 ) -> None:
     """Write a snapshot in place of what is there.
 
@@ -53,6 +57,8 @@ def write_snapshot(
         Names and arrays, taken one at a time.
     durable
         Whether it must outlive the machine, not only the process.
+    wanted
+        Asked at the very end; where it says no, what was there stays.
 
     Raises
     ------
@@ -70,6 +76,9 @@ def write_snapshot(
             file.flush()
             if durable:
                 os.fsync(file.fileno())
+        if not wanted():
+            new.unlink()
+            return
         new.replace(path)
     except BaseException:
         with contextlib.suppress(OSError):

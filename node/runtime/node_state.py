@@ -11,7 +11,7 @@ from typing import Any
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.runtime.plan import Plan
-from chachart.node.runtime.state_files import NODE, Series, new_run, runs
+from chachart.node.runtime.state_files import NODE, Series, forget_unfinished, new_run, runs
 
 log = logging.getLogger(__name__)
 
@@ -81,6 +81,7 @@ class NodeState:
             facts = Series(folder, NODE, durable=True).newest_facts()
             if facts is not None:
                 self._check(facts, folder)
+                forget_unfinished(folder)
                 self.resumed = facts
                 log.info("going on from %s", folder)
                 return folder

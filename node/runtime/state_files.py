@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import re
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -60,8 +60,17 @@ class Series:
                 log.warning("%s; the one before it is taken", error)
         return None
 
-    def write(self, facts: dict[str, Any], arrays: Iterable[tuple[str, NDArray[Any]]]) -> Path:
-        """Write the next one, and let go of those that are not kept.
+    def forget_unfinished(self) -> None:
+        """What others were writing when they died must not appear any more."""
+        forget_unfinished(self._folder, self._name)
+
+    def write(
+        self,
+        facts: dict[str, Any],
+        arrays: Iterable[tuple[str, NDArray[Any]]],
+        wanted: Callable[[], bool] = lambda: True,
+    ) -> Path:
+        """Write the next one, unless it is not `wanted` in the end, and let go of those that are not kept.
 
         Raises
         ------
@@ -71,7 +80,7 @@ class Series:
         paths = self._paths()
         number = 1 + (int(paths[-1].stem.rpartition("-")[2]) if paths else 0)
         path = self._folder / f"{self._name}-{number:08d}.snapshot"
-        write_snapshot(path, facts, arrays, self._durable)
+        write_snapshot(path, facts, arrays, self._durable, wanted)
         for old in paths[: 1 - KEPT]:
             with suppress(OSError):
                 old.unlink()
@@ -79,6 +88,13 @@ class Series:
 
     def _paths(self) -> list[Path]:
         return sorted(self._folder.glob(f"{self._name}-{'[0-9]' * 8}.snapshot"))
+
+
+def forget_unfinished(folder: Path, name: str = "") -> None:
+    """Take away the snapshots that are being written, so that none of them gets its name any more."""
+    for path in folder.glob(f"{name}*.snapshot.new"):
+        with suppress(OSError):
+            path.unlink()
 
 
 def worker_series(folder: Path, shard: int, count: int, durable: bool) -> Series:

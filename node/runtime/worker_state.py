@@ -106,6 +106,7 @@ class WorkerState:
         """Take up the newest snapshot that can be read, or those of another number of workers."""
         if self._folder is None:
             return Done()
+        worker_series(self._folder, self._shard, self._count, True).forget_unfinished()
         for path, facts, arrays in worker_series(self._folder, self._shard, self._count, True).newest():
             try:
                 processor.restore(*_read(arrays))
@@ -157,11 +158,12 @@ class WorkerState:
     def begin(self, processor: BlockProcessor, done: Done) -> None:
         """Write a snapshot of this moment in a process of its own, so that estimates go on meanwhile."""
         assert self._folder is not None
+        worker = os.getpid()
         self._writer = os.fork()
         if self._writer == 0:
             code = UNKNOWN_ERROR
             try:
-                code = self._write(processor, done)
+                code = self._write(processor, done, worker)
             finally:
                 os._exit(code)  # nothing of the worker's may run here
 
@@ -180,13 +182,17 @@ class WorkerState:
             return None
         return os.strerror(code) if 0 < code < UNKNOWN_ERROR else f"its writer ended with {code}"
 
-    def _write(self, processor: BlockProcessor, done: Done) -> int:
-        """In the process that writes; gives its exit status."""
+    def _write(self, processor: BlockProcessor, done: Done, worker: int) -> int:
+        """In the process that writes; gives its exit status.
+
+        A worker that has died meanwhile has a successor, which goes on from the snapshot before: numbers of
+        blocks mean something else from there on, so this one must not appear.
+        """
         try:
             assert self._folder is not None
             os.nice(5)
             series = worker_series(self._folder, self._shard, self._count, self._durable)
-            series.write(done.facts(), _members(processor))
+            series.write(done.facts(), _members(processor), lambda: os.getppid() == worker)
             return 0
         except OSError as error:
             return min(error.errno or UNKNOWN_ERROR, UNKNOWN_ERROR)

@@ -75,3 +75,11 @@ def test_a_failed_write_leaves_what_was_there(good: Path, tmp_path: Path) -> Non
     assert list(tmp_path.iterdir()) == [path]
     with pytest.raises(SnapshotError):
         read_snapshot(tmp_path / "nothing")
+
+
+def test_one_that_is_not_wanted_any_more_does_not_appear(tmp_path: Path) -> None:
+    path = tmp_path / "state"
+    write_snapshot(path, {"n": 1}, (), durable=False)
+    write_snapshot(path, {"n": 2}, (), durable=False, wanted=lambda: False)
+    assert read_facts(path) == {"n": 1}
+    assert list(tmp_path.iterdir()) == [path]
