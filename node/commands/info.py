@@ -1,4 +1,4 @@
-"""Show what a recording holds: its array, frames, UEs, times, and whether it was closed properly.
+"""Show what a recording holds (array, frames, UEs, times, whether it was closed properly), or a chart log.
 
 chachart info capture.mcap
 """
@@ -16,6 +16,7 @@ import numpy as np
 
 from chachart.node.data.facts import CaptureFacts
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.files.chart_log import ChartLogReader, is_chart_log
 from chachart.node.files.recording import RecordingReader
 from chachart.node.files.recording_totals import RecordingSummary
 
@@ -24,7 +25,7 @@ MOST_SENDERS = 8
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line of `chachart info`."""
-    parser.add_argument("recording", type=Path, metavar="FILE.mcap", help="the recording")
+    parser.add_argument("recording", type=Path, metavar="FILE.mcap", help="the recording or chart log")
     parser.add_argument("--json", action="store_true", help="print it as JSON")
 
 
@@ -36,14 +37,71 @@ def run(arguments: argparse.Namespace) -> int:
     SetupError
         If there is no such recording.
     """
-    summary = RecordingReader(arguments.recording).summary()
-    if arguments.json:
-        print(json.dumps(as_json(summary), indent=2))
-    else:
-        width = max(len(name) for name, _ in lines(summary))
-        for name, value in lines(summary):
-            print(f"{name:<{width}}  {value}")
+    path = arguments.recording
+    if is_chart_log(path):
+        log = log_as_json(ChartLogReader(path))
+        _show(log, list(log_lines(log)), arguments.json)
+        return 0
+    summary = RecordingReader(path).summary()
+    _show(as_json(summary), list(lines(summary)), arguments.json)
     return 0
+
+
+def _show(values: dict[str, Any], told: list[tuple[str, str]], as_values: bool) -> None:
+    if as_values:
+        print(json.dumps(values, indent=2))
+        return
+    width = max(len(name) for name, _ in told)
+    for name, value in told:
+        print(f"{name:<{width}}  {value}")
+
+
+def log_as_json(reader: ChartLogReader) -> dict[str, Any]:
+    """What a chart log holds, as plain values."""
+    rows, ues, methods = 0, set[int](), dict[str, int]()
+    first = last = None
+    for chart in reader.charts():
+        rows += len(chart)
+        ues.update(chart.ue.tolist())
+        method = f"{chart.method.theta}/{chart.method.rho}"
+        methods[method] = methods.get(method, 0) + len(chart)
+        start, end = int(chart.time_ns.min()), int(chart.time_ns.max())
+        first, last = min(first or start, start), max(last or end, end)
+    reports = list(reader.quality())
+    return {
+        "rows": rows,
+        "ues": len(ues),
+        "methods": methods,
+        "start_ns": first,
+        "end_ns": last,
+        "bytes": reader.path.stat().st_size,
+        "damaged": reader.damaged.as_dict(),
+        "quality_reports": len(reports),
+        "quality": reports[-1] if reports else None,
+        "array": reader.array.as_dict(),
+    }
+
+
+def log_lines(log: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """What there is to say of a chart log, as pairs of name and value."""
+    yield "chart log", f"{log['rows']} rows of {log['ues']} UEs"
+    yield (
+        "methods",
+        ", ".join(f"{method} ({count} rows)" for method, count in log["methods"].items()) or "none",
+    )
+    if log["start_ns"] is not None:
+        yield "from", _utc(log["start_ns"])
+        yield "to", f"{_utc(log['end_ns'])} ({(log['end_ns'] - log['start_ns']) / 1e9:.3f} s)"
+    yield "size", f"{log['bytes'] / 1e6:.1f} MB"
+    if log["damaged"]:
+        yield "damaged", ", ".join(f"{n} {reason}" for reason, n in log["damaged"].items())
+    if log["quality"]:
+        shares = [
+            f"{name.upper()} {log['quality'][name]:.4f}" for name in ("tw", "ct") if name in log["quality"]
+        ]
+        yield "quality", f"{log['quality_reports']} reports, the last: {', '.join(shares)}"
+    array = log["array"]
+    yield "array", f"{array['name']}: {array['antennas']} antennas, {array['subcarriers']} subcarriers"
 
 
 def as_json(summary: RecordingSummary) -> dict[str, Any]:

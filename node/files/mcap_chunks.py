@@ -21,6 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from chachart.node.data.errors import SetupError
+from chachart.node.files.foreign import contents
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 512 * 1024 * 1024
@@ -190,7 +191,9 @@ def _walk(path: Path, file: BinaryIO, size: int) -> FileIndex:
         if opcode == 0 or length > min(size - content, MAX_CHUNK_BYTES):
             break
         if opcode == Opcode.MESSAGE:
-            raise SetupError(f"{path} is an MCAP file without chunks; write it with chunks, uncompressed")
+            raise SetupError(
+                f"{path} is an MCAP file without chunks{_held(path)}; it needs some, uncompressed"
+            )
         if opcode == Opcode.CHUNK and length >= CHUNK.size:
             start_ns, end_ns, _, _, compression = CHUNK.unpack(file.read(CHUNK.size))
             if compression:
@@ -212,7 +215,14 @@ def _add_metadata(index: FileIndex, content: bytes) -> None:
 
 def _check_compression(path: Path, compression: str) -> None:
     if compression:
-        raise SetupError(f"{path} is compressed with {compression}; `mcap decompress` makes it readable here")
+        raise SetupError(
+            f"{path} is compressed with {compression}{_held(path)}; `mcap decompress` makes it readable here"
+        )
+
+
+def _held(path: Path) -> str:
+    found = contents(path)
+    return f" (it has {found})" if found else ""
 
 
 def _beginning(start: bytes) -> str:

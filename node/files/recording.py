@@ -31,6 +31,7 @@ from chachart.node.data.facts import CaptureFacts
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.files.chart_log import is_chart_log
 from chachart.node.files.cuts import between, joined
+from chachart.node.files.foreign import contents
 from chachart.node.files.mcap_chunks import ChunkSpan, DamagedChunk, FileIndex, read_index, read_messages
 from chachart.node.files.mcap_writer import McapWriter, OutgoingMessage
 from chachart.node.files.recording_totals import Account, RecordingSummary, Totals, density
@@ -230,7 +231,9 @@ class RecordingReader:
         head = self._index.metadata.get(_HEAD)
         if head is None:
             what = "holds no CSI" if self._index.closed else "was cut off before its description of the array"
-            raise SetupError(f"{self.path} is an MCAP file, but {what}; a recording of chachart is needed")
+            found = contents(self.path)
+            held = f"{what} (it has {found})" if found else what
+            raise SetupError(f"{self.path} is an MCAP file, but {held}; a recording of chachart is needed")
         if head.get("format") != FORMAT:
             raise SetupError(f"{self.path} has recording format {head.get('format')}; this is for {FORMAT}")
         try:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import struct
 import time
-import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, ClassVar, Literal
@@ -18,6 +16,7 @@ from chachart.node.data.extras import missing
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import EndOfSource, Source, SourceSettings
 from chachart.sources.frontend.address import FrontEndAddress, distinct
+from chachart.sources.frontend.can_files import SUFFIXES, channel_of, messages, unreadable
 from chachart.sources.frontend.packet import max_packet_bytes
 from chachart.sources.frontend.session import Intake
 
@@ -26,8 +25,6 @@ if TYPE_CHECKING:
 
     from chachart.sources.frontend.isotp_link import IsoTpReceiver
 
-SUFFIXES = (".blf", ".asc", ".log")
-"""The formats of python-can that keep CAN FD messages whole."""
 MAX_BLOCK_FRAMES = 64
 READ_S = 0.05
 """At full speed a block goes out when it is full or this much time was spent reading."""
@@ -40,8 +37,10 @@ class CanLogSettings(SourceSettings):
     """Which source."""
     path: Path = Path("can.blf")
     """The file; its suffix says which format it is."""
+    channel: str | None = Field(None, min_length=1, examples=["can0"])
+    """The bus, as the log names it: "can0" in .log, "1" in .asc and .blf; not set: all of them."""
     front_ends: tuple[FrontEndAddress, ...] = Field((FrontEndAddress(),), min_length=1)
-    """Whose frames are replayed."""
+    """Whose frames are replayed; the same identifier on another bus is another front-end."""
     speed: float = Field(1.0, ge=0)
     """1 plays at the recorded pace, 10 ten times faster, 0 as fast as the node can."""
 
@@ -61,7 +60,7 @@ class CanLog(Source):
     def __init__(self, settings: CanLogSettings, array: ArrayGeometry) -> None:
         super().__init__(settings, array)
         self._intake = Intake(array, self.rejected)
-        self._receiver: IsoTpReceiver | None = None
+        self._receivers: dict[str, IsoTpReceiver] = {}
         self._file: IO[Any] | None = None
         self._messages: Iterator[can.Message] = iter(())
         self._next: can.Message | None = None
@@ -91,26 +90,24 @@ class CanLog(Source):
         path = self.settings.path
         if problems := self.problems(self.settings):
             raise SetupError(f"[source] {problems[0]}")
-        from chachart.sources.frontend.isotp_link import IsoTpReceiver
-
-        self._receiver = IsoTpReceiver(
-            self.settings.front_ends,
-            max_packet_bytes(self.array.antennas, self.array.subcarriers),
-            self.rejected,
-            None,
-            fd=True,
-        )
         try:
             self._messages = iter(self._read())
             self._next = next(self._messages, None)
-        except _unreadable() as error:
+        except unreadable() as error:
             self.close()
             raise SetupError(
                 f"[source] {path} is no {path.suffix} log that python-can can read: {error}"
             ) from None
         if self._next is None:
             self.close()
-            raise SetupError(f"[source] {path} holds no CAN message")
+            damaged = self.rejected.total()
+            if damaged and not self.settings.channel:
+                raise SetupError(
+                    f"[source] {path} is no {path.suffix} log that python-can can read: "
+                    f"{damaged} damaged lines and no message"
+                )
+            where = f" on channel {self.settings.channel}" if self.settings.channel else ""
+            raise SetupError(f"[source] {path} holds no CAN message{where}")
         self._first_s = self._latest_s = self._paced_from_s = self._next.timestamp
 
     def recv(self, timeout: float) -> CsiBlock | None:
@@ -164,16 +161,24 @@ class CanLog(Source):
 
     def _read(self) -> Iterable[can.Message]:
         """The messages. The file is opened here because a reader that refuses it would leave it open."""
-        import can
-
-        path = self.settings.path
+        path, channel = self.settings.path, self.settings.channel
         if path.suffix.lower() == ".blf":
-            binary = self._file = path.open("rb")
-            return can.BLFReader(binary)
-        text = self._file = path.open("r", encoding="utf-8", errors="replace")
-        if path.suffix.lower() == ".asc":
-            return can.ASCReader(text, relative_timestamp=False)
-        return can.CanutilsLogReader(text)
+            self._file = path.open("rb")
+        else:
+            self._file = path.open("r", encoding="utf-8", errors="replace")
+        found = messages(path, self._file, self.rejected)
+        return (message for message in found if channel in (None, channel_of(path, message)))
+
+    def _receiver_of(self, channel: str) -> IsoTpReceiver:
+        """The receiver of a bus; each has its own, since packets of several would mix."""
+        if channel not in self._receivers:
+            from chachart.sources.frontend.isotp_link import IsoTpReceiver
+
+            longest = max_packet_bytes(self.array.antennas, self.array.subcarriers)
+            self._receivers[channel] = IsoTpReceiver(
+                self.settings.front_ends, longest, self.rejected, None, fd=True
+            )
+        return self._receivers[channel]
 
     def _wait_s(self) -> float:
         """Seconds until the next message is due."""
@@ -183,22 +188,14 @@ class CanLog(Source):
         return max(0.0, due - time.monotonic()) if math.isfinite(due) else 0.0
 
     def _take(self, message: can.Message) -> None:
-        assert self._receiver is not None
         if math.isfinite(message.timestamp) and 0 <= message.timestamp < 9e9:
             self._latest_s = message.timestamp
-        for name, packet in self._receiver.feed([message]):
-            self._intake.receive(name, packet, round(self._latest_s * 1e9))
+        channel = channel_of(self.settings.path, message)
+        for name, packet in self._receiver_of(channel).feed([message]):
+            named = name if channel == next(iter(self._receivers)) else f"{name}@{channel}"
+            self._intake.receive(named, packet, round(self._latest_s * 1e9))
         try:
             self._next = next(self._messages, None)
-        except _unreadable():
+        except unreadable():
             self.rejected.add("damaged_log")
             self._next = None
-
-
-def _unreadable() -> tuple[type[Exception], ...]:
-    """What python-can's readers raise on files that are damaged or something else."""
-    import can
-    from can.io.blf import BLFParseError
-
-    plain = (ValueError, LookupError, TypeError, OverflowError, EOFError, OSError, struct.error, zlib.error)
-    return (*plain, BLFParseError, can.CanError)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chart_logs import near_truth, write_chart_log
+from mcap.writer import CompressionType, Writer
 
 from chachart.config.settings import ArraySettings
 from chachart.node.commands.main import main
@@ -80,7 +81,29 @@ def test_no_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         assert len(said.splitlines()) == 1
 
 
-def test_a_chart_log_is_called_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_chart_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_chart_log(tmp_path / "log.mcap", near_truth(3))
-    assert main(["info", str(tmp_path / "log.mcap")]) == 78
-    assert "log.mcap is a chart log and holds no CSI" in capsys.readouterr().err
+    assert main(["info", str(tmp_path / "log.mcap")]) == 0
+    said = capsys.readouterr().out
+    for words in ("3 rows of 3 UEs", "music/bartlett (3 rows)", "lab: 8 antennas"):
+        assert words in said
+    assert main(["info", str(tmp_path / "log.mcap"), "--json"]) == 0
+    values = json.loads(capsys.readouterr().out)
+    assert (values["rows"], values["ues"], values["damaged"]) == (3, 3, {})
+    assert values["end_ns"] - values["start_ns"] == 2 * 10**7
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
+def test_what_other_programs_wrote_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], compression: CompressionType
+) -> None:
+    path = tmp_path / "robot.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=compression)
+        writer.start()
+        schema = writer.register_schema("sensor_msgs/msg/Imu", "ros2msg", b"")
+        channel = writer.register_channel("/imu", "cdr", schema)
+        writer.add_message(channel, 1, b"data", 1)
+        writer.finish()
+    assert main(["info", str(path)]) == 78
+    assert "(it has sensor_msgs/msg/Imu)" in capsys.readouterr().err

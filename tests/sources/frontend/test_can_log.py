@@ -111,6 +111,68 @@ def test_a_file_that_is_missing_is_said_so(tmp_path):
         CanLog(CanLogSettings(path=tmp_path / "none.blf"), ARRAY).open()
 
 
+@pytest.mark.parametrize("suffix", [".asc", ".log"])
+def test_damaged_lines_are_counted_and_passed_over(tmp_path, suffix):
+    path = record(tmp_path / f"bus{suffix}", 300)
+    lines = path.read_text().splitlines()
+    places = [len(lines) // 4, len(lines) // 2]
+    for at in places:
+        lines[at] = lines[at].replace("640", "64x")
+    path.write_text("\n".join(lines) + "\n")
+    source, got = replay(path)
+    assert 300 - 2 * len(places) <= len(got) < 300
+    assert len(origin(got, direct(300))) == len(got)
+    if suffix == ".log":
+        assert source.rejected.as_dict()["damaged_line"] == 2
+
+
+def test_a_damaged_object_of_a_binary_log_costs_what_it_held(tmp_path):
+    path = record(tmp_path / "bus.blf", 400)
+    raw = bytearray(path.read_bytes())
+    second = raw.index(b"LOBJ", raw.index(b"LOBJ") + 4)
+    raw[second : second + 4] = b"JBOL"
+    path.write_bytes(raw)
+    source, got = replay(path)
+    assert 0 < len(got) < 400
+    assert source.rejected.as_dict()["damaged_object"] >= 1
+
+
+def on_buses(path: Path, frames: int, names: tuple[str, ...]) -> Path:
+    """The same front-end on several buses, its messages taking turns."""
+    lines = record(path, frames).read_text().splitlines()
+    first = lines[0].split()[1]
+    path.write_text("\n".join(line.replace(f" {first} ", f" {n} ") for line in lines for n in names) + "\n")
+    return path
+
+
+def test_one_identifier_on_several_buses(tmp_path):
+    path = on_buses(tmp_path / "bus.log", 300, ("can0", "can1"))
+    source, got = replay(path)
+    assert len(got) == 600
+    assert set(source.details()["front_ends"]) == {"0x640", "0x640@can1"}
+    with CanLog(CanLogSettings(path=path, speed=0.0, channel="can1"), ARRAY) as alone:
+        assert_same_chart(CsiBlock.concatenate(drain(alone)), direct(300))
+    with pytest.raises(SetupError, match="holds no CAN message on channel can7"):
+        CanLog(CanLogSettings(path=path, channel="can7"), ARRAY).open()
+
+
+def test_stamps_that_are_relative_to_the_one_before(tmp_path):
+    path = record(tmp_path / "bus.asc", 40)
+    _, absolute = replay(path)
+    lines, before = [], 0.0
+    for line in path.read_text().splitlines():
+        line = line.replace("timestamps absolute", "timestamps relative")
+        word = line.split()[0] if line.split() else ""
+        if word.replace(".", "").isdigit() and "." in word:
+            line = line.replace(word, f"{float(word) - before:.6f}", 1)
+            before = float(word)
+        lines.append(line)
+    assert any("timestamps relative" in line for line in lines)
+    path.write_text("\n".join(lines) + "\n")
+    _, relative = replay(path)
+    np.testing.assert_allclose(relative.time_ns, absolute.time_ns, atol=50_000)
+
+
 @pytest.fixture(scope="module")
 def good(tmp_path_factory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("good")
