@@ -4,9 +4,12 @@
     chachart calibrate capture.mcap --ue 7 --position 120.5,-33,1.5 -o cal.toml
     chachart calibrate capture.mcap --check cal.toml                           how good is it still?
     chachart calibrate capture.mcap --offsets reftx-offsets.json -o cal.toml   take over sto and cpo
+    chachart calibrate capture.mcap --per-start --corrected undone.mcap        chains that flip between starts
 
 `calibration = "cal.toml"` in [array] then makes a node undo it. Swapped cables are found by comparing UEs in
-different places, known or not: the more the capture has, the surer.
+different places, known or not: the more the capture has, the surer. Cards whose chains turn by 180 degrees
+from one start to the next (each file of an import is one) are first put right with --per-start: by a UE at
+known places (--ue), or by all, blind, up to a turn.
 """
 
 from __future__ import annotations
@@ -18,7 +21,9 @@ from typing import Any
 
 import numpy as np
 
+from chachart.node.commands.shared import starts
 from chachart.node.commands.shared.calibrating import Finding, check, find, read
+from chachart.node.commands.shared.cli import check_writable
 from chachart.node.data.errors import SetupError
 from chachart.node.files.calibration import load_calibration, load_offsets, save_calibration
 from chachart.node.files.recording import RecordingReader
@@ -38,6 +43,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--band", type=int, metavar="N", help="subcarriers of the whole band, for --offsets")
     parser.add_argument("--channels", type=_channels, metavar="6,2,16,...", help="the array's, for --offsets")
     parser.add_argument("--check", type=Path, metavar="CAL.toml", help="only see how well this one fits")
+    parser.add_argument(
+        "--per-start", action="store_true", help="find chains turned by 180 degrees, start by start"
+    )
+    parser.add_argument(
+        "--corrected",
+        type=Path,
+        metavar="OUT.mcap",
+        help="with --per-start: the recording without these turns",
+    )
+    parser.add_argument("--force", action="store_true", help="replace OUT.mcap if it exists")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the report as JSON")
 
 
@@ -49,6 +64,10 @@ def run(arguments: argparse.Namespace) -> int:
     SetupError
         If the recording does not hold what is needed, or a file cannot be read or written.
     """
+    if arguments.per_start:
+        return _per_start(arguments)
+    if arguments.corrected is not None:
+        raise SetupError("--corrected goes with --per-start; a calibration is undone by [array] calibration")
     if sum(map(bool, (arguments.ue, arguments.check, arguments.offsets))) != 1:
         raise SetupError("say either --ue ID, whose place is known, --check CAL.toml or --offsets FILE.json")
     if arguments.position is not None and len(arguments.ue) > 1:
@@ -88,6 +107,27 @@ def _take_over(arguments: argparse.Namespace, reader: RecordingReader) -> int:
         raise SetupError(str(error)) from None
     save_calibration(arguments.output, calibration, f"chachart calibrate --offsets {arguments.offsets.name}")
     print(arguments.output)
+    return 0
+
+
+def _per_start(arguments: argparse.Namespace) -> int:
+    """Find which chains have turned at each start, and write a recording without it."""
+    if arguments.check is not None or arguments.output is not None:
+        raise SetupError("--per-start goes with --ue, --position, --corrected and --json only")
+    if arguments.corrected is not None:
+        check_writable(arguments.corrected, arguments.force, arguments.recording)
+    reader = RecordingReader(arguments.recording)
+    found = starts.calibrated_starts(reader, arguments.ue, arguments.position)
+    for line in starts.lines(found):
+        print(line)
+    if arguments.corrected is not None:
+        starts.write_without_flips(reader, found, arguments.corrected)
+        print(f"{arguments.corrected}: all starts as the first; its note names what was turned")
+    if arguments.json is not None:
+        try:
+            arguments.json.write_text(json.dumps(starts.as_json(found), indent=2) + "\n")
+        except OSError as error:
+            raise SetupError(f"{error.filename} cannot be written: {error.strerror}") from None
     return 0
 
 

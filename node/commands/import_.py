@@ -63,6 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
     table = table_of(parts, arguments)
     total = len(table.ue) * arguments.repeat
     options = {"repeat": arguments.repeat, "snr_db": arguments.snr_db, "seed": arguments.seed}
+    if len(parts) > 1 and arguments.repeat == 1 and parts[0].keep_order:
+        options["starts"] = np.cumsum([0, *(len(part.ue) for part in parts[:-1])]).tolist()
     if band.antenna_names:
         options["antenna_names"] = list(band.antenna_names)
     note = report.note(parts, captures[0].format, options)
