@@ -45,6 +45,7 @@ def configuration(folder: Path) -> str:
 antennas = {ARRAY.antennas}
 subcarriers = {ARRAY.subcarriers}
 carrier_hz = {ARRAY.carrier_hz}
+element_spacing_m = {ARRAY.element_spacing_m}
 subcarrier_spacing_hz = {ARRAY.subcarrier_spacing_hz}
 position_m = [0.0, 0.0, 0.0]
 [source]

@@ -34,7 +34,8 @@ def scenario(frames: int) -> dict[str, Any]:
 def front_end(*arguments: str, frames: int) -> Iterator[subprocess.Popen[str]]:
     """`chachart frontend` in a process of its own, playing `frames` frames of the scenario on `ARRAY`."""
     changes = {f"source.{key}": value for key, value in scenario(frames).items()}
-    changes |= {"array.antennas": ARRAY.antennas, "array.subcarriers": ARRAY.subcarriers}
+    for name in ("antennas", "subcarriers", "element_spacing_m"):
+        changes[f"array.{name}"] = getattr(ARRAY, name)
     settings = [word for key, value in changes.items() for word in ("--set", f"{key}={value}")]
     command = [
         sys.executable,

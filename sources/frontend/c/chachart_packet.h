@@ -24,6 +24,12 @@ size_t chachart_hello(uint8_t *out, uint32_t sequence, uint64_t time_ns, uint16_
                       float element_spacing_m, double carrier_hz, double subcarrier_spacing_hz,
                       const char *serial);
 
+/* The same of an array that is no uniform line: elements has the position of each antenna along right, up and
+ * normal, in metres, one after the other; 12 bytes each come on top of CHACHART_HELLO_BYTES. */
+size_t chachart_hello_elements(uint8_t *out, uint32_t sequence, uint64_t time_ns, uint16_t antennas,
+                               uint16_t subcarriers, float element_spacing_m, double carrier_hz,
+                               double subcarrier_spacing_hz, const char *serial, const float *elements);
+
 size_t chachart_heartbeat(uint8_t *out, uint32_t sequence, uint64_t time_ns);
 
 /* A packet as it goes over a serial line: zero, COBS, zero. `out` has room for CHACHART_FRAMED_BYTES(length). */

@@ -49,9 +49,17 @@ size_t chachart_csi(uint8_t *out, uint32_t sequence, uint64_t time_ns, uint64_t 
 size_t chachart_hello(uint8_t *out, uint32_t sequence, uint64_t time_ns, uint16_t antennas, uint16_t subcarriers,
                       float element_spacing_m, double carrier_hz, double subcarrier_spacing_hz,
                       const char *serial) {
+    return chachart_hello_elements(out, sequence, time_ns, antennas, subcarriers, element_spacing_m, carrier_hz,
+                                   subcarrier_spacing_hz, serial, NULL);
+}
+
+size_t chachart_hello_elements(uint8_t *out, uint32_t sequence, uint64_t time_ns, uint16_t antennas,
+                               uint16_t subcarriers, float element_spacing_m, double carrier_hz,
+                               double subcarrier_spacing_hz, const char *serial, const float *elements) {
     uint8_t *p = put(put(header(out, 2, 0, sequence, time_ns), antennas, 2), subcarriers, 2);
     p = put_double(put_double(put_float(p, element_spacing_m), carrier_hz), subcarrier_spacing_hz);
     for (int i = 0; i < 16; i++) *p++ = (uint8_t)(*serial ? *serial++ : 0);
+    for (int i = 0; elements && i < 3 * antennas; i++) p = put_float(p, elements[i]);
     return finish(out, p);
 }
 

@@ -28,10 +28,12 @@ def library(tmp_path_factory):
     u8, u16, u32, u64 = ctypes.c_char_p, ctypes.c_uint16, ctypes.c_uint32, ctypes.c_uint64
     loaded.chachart_csi.argtypes = [u8, u32, u64, u64, u16, u16, ctypes.c_int, ctypes.c_float, u8]
     double = ctypes.c_double
-    loaded.chachart_hello.argtypes = [u8, u32, u64, u16, u16, ctypes.c_float, double, double, u8]
+    hello = [u8, u32, u64, u16, u16, ctypes.c_float, double, double, u8]
+    loaded.chachart_hello.argtypes = hello
+    loaded.chachart_hello_elements.argtypes = [*hello, ctypes.POINTER(ctypes.c_float)]
     loaded.chachart_heartbeat.argtypes = [u8, u32, u64]
     loaded.chachart_frame.argtypes = [u8, u8, ctypes.c_size_t]
-    for name in ("csi", "hello", "heartbeat", "frame"):
+    for name in ("csi", "hello", "hello_elements", "heartbeat", "frame"):
         getattr(loaded, f"chachart_{name}").restype = ctypes.c_size_t
     return loaded
 
@@ -47,7 +49,12 @@ def encode_in_c(library: ctypes.CDLL, packet: Packet) -> bytes:
     elif isinstance(packet, Hello):
         numbers = (packet.element_spacing_m, packet.carrier_hz, packet.subcarrier_spacing_hz)
         shape = (packet.antennas, packet.subcarriers)
-        n = library.chachart_hello(*head, *shape, *numbers, packet.serial.encode())
+        told = (*head, *shape, *numbers, packet.serial.encode())
+        if packet.elements is None:
+            n = library.chachart_hello(*told)
+        else:
+            flat = [value for place in packet.elements for value in place]
+            n = library.chachart_hello_elements(*told, (ctypes.c_float * len(flat))(*flat))
     else:
         n = library.chachart_heartbeat(*head)
     return out.raw[:n]

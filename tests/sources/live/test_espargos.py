@@ -78,7 +78,7 @@ def test_without_calibration_they_are_not() -> None:
 
 def test_what_is_lost_or_damaged_on_the_way_is_counted_exactly() -> None:
     loopback = EspargosLoopback(
-        scenario=scenario(frames=2000, frame_rate_hz=1000.0), corrupt=0.02, drop=0.02, reorder=0.05
+        scenario=scenario(frames=1000, frame_rate_hz=250.0), corrupt=0.03, drop=0.03, reorder=0.05
     )
     with EspargosSource(EspargosSettings(loopback=loopback, calibrate_s=0.2), ARRAY) as source:
         blocks = heard(source)
