@@ -25,6 +25,7 @@ BENCHMARKS = {
     "snapshots": "how long a snapshot holds up estimates, and what snapshots cost",
     "soak": "hours of running: how memory, open files and threads grow",
     "kills": "kill -9 of any process at any moment: what the chart is afterwards",
+    "truth": "errors beside the deviations told, with echoes and without a direct path, over several draws",
     "view": "what the live view costs a node, without and with a viewer",
 }
 """Each benchmark and what it measures; its module in `benchmarks` has `add_arguments` and `run`."""

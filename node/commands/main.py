@@ -27,6 +27,7 @@ COMMANDS = {
     "info": "show what a recording holds",
     "plot": "draw charts, spectra, quality, errors and calibrations for papers",
     "reproduce": "reproduce the published tables and figures, as one HTML report",
+    "train": "fit what estimators say of their errors to the simulator's channels",
     "watch": "watch a node's chart in the terminal",
 }
 """Each command and what it does. Its module here, `<name>.py` or `<name>_.py` for a word that Python has

@@ -21,7 +21,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -31,11 +31,11 @@ from chachart.node.commands.reproduction import accuracy, embeddings, paper, ran
 from chachart.node.commands.reproduction.paper import Pair
 from chachart.node.commands.reproduction.progress import steps
 from chachart.node.commands.reproduction.results import WRITTEN, ChannelResults, Results
+from chachart.node.commands.shared.scenes import data, pairs
 from chachart.node.commands.shared.tables import as_csv, as_latex
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.errors import SetupError
 from chachart.node.data.extras import require
-from chachart.node.data.methods import RhoMethod, ThetaMethod
 from chachart.node.estimation.curves import Ranks, neighbour_ranks
 
 PAIRS: tuple[Pair, ...] = (*paper.PAIRS, ("joint", "joint"))
@@ -63,9 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, default=Path("chachart-reproduce"), metavar="DIR", help="(%(default)s)"
     )
-    parser.add_argument("--pairs", type=_pairs, default=PAIRS, metavar="THETA/RHO,...", help="all by default")
+    parser.add_argument("--pairs", type=pairs, default=PAIRS, metavar="THETA/RHO,...", help="all by default")
     parser.add_argument(
-        "--data", action="extend", nargs="+", type=_data, default=[], metavar="CHANNEL=FILE.mcap",
+        "--data", action="extend", nargs="+", type=data, default=[], metavar="CHANNEL=FILE.mcap",
         help="recorded channels instead of the model's",
     )  # fmt: skip
     parser.add_argument(
@@ -219,8 +219,8 @@ def _write(out: Path, results: Results) -> Path:
     from chachart.node.commands.reproduction import figures, report
 
     drawings: dict[str, figures.Drawing] = {}
-    pairs = results.channels[0].pairs
-    drawings["summary"] = figures.summary(pairs, {c.name: c.charted for c in results.channels})
+    of_all = results.channels[0].pairs
+    drawings["summary"] = figures.summary(of_all, {c.name: c.charted for c in results.channels})
     for c in results.channels:
         drawings[f"charts-{c.name}"] = figures.charts(c.truth, c.charted, c.embeddings)
         drawings[f"curves-{c.name}"] = figures.curves(c.pairs, c.charted, c.embeddings)
@@ -294,24 +294,6 @@ def _channels(text: str) -> tuple[str, ...]:
     if unknown := [name for name in names if name not in WRITTEN]:
         raise argparse.ArgumentTypeError(f'there is no channel "{unknown[0]}", only {", ".join(WRITTEN)}')
     return names
-
-
-def _pairs(text: str) -> tuple[Pair, ...]:
-    pairs = []
-    for word in text.lower().split(","):
-        theta, _, rho = word.partition("/")
-        known = theta in get_args(ThetaMethod) and rho in get_args(RhoMethod)
-        if not known or (theta == "joint") != (rho == "joint"):
-            raise argparse.ArgumentTypeError(f'"{word}" is no pair such as bartlett/music or joint/joint')
-        pairs.append((theta, rho))
-    return tuple(dict.fromkeys(pairs))
-
-
-def _data(text: str) -> tuple[str, Path]:
-    name, _, path = text.partition("=")
-    if name not in WRITTEN or not path:
-        raise argparse.ArgumentTypeError(f'"{text}" must look like qnlos=FILE.mcap')
-    return name, Path(path)
 
 
 def _positive(text: str) -> float:

@@ -136,6 +136,9 @@ _ALL = (
         optional=True,
     ),
     Column("rho_std", "float64", "± ρ", "Standard deviation of rho.", "m", optional=True),
+    Column(
+        "p_direct", "float64", "direct", "Probability that the path found is the direct one.", optional=True
+    ),
     Column("delay_spread", "float64", "delay spread", "Rms over the paths.", "s", 10, optional=True),
     Column("x", "float64", "x", "Towards a line's broadside; in the world for other arrays.", "m"),
     Column("y", "float64", "y", "Along a line's axis; in the world for other arrays.", "m"),

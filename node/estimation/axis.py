@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from chachart.node.estimation import order, spectra
 from chachart.node.estimation.bounds import minnorm_excess, mvdr_excess, stochastic_std
 from chachart.node.estimation.covariance import Bank, Grouping, LagSums, forward_backward
+from chachart.node.estimation.evidence import AxisEvidence
+from chachart.node.estimation.judge import inflated
 from chachart.node.estimation.locator import Columns
 from chachart.node.estimation.manifold import Search, UniformManifold, derivatives
 from chachart.node.estimation.options import Options
@@ -26,7 +28,7 @@ class SpectralAxis(SlotState):
     Parameters
     ----------
     name
-        "theta" or "rho": the column that it estimates.
+        "theta" or "rho": the column that it estimates, and whose errors it has learnt about.
     method
         One of `options.SPECTRAL`.
     manifold, step
@@ -52,6 +54,8 @@ class SpectralAxis(SlotState):
         self._bank = Bank(shape, np.complex64, options.decay)
         self._lags = LagSums(manifold.lattice)
         self._excess = np.sqrt(minnorm_excess(manifold.lattice)) if method == "minnorm" else 1.0
+        cell = 2 * np.pi / manifold.lattice.span / abs(manifold.phase)
+        self._evidence = AxisEvidence(manifold.lattice, cell)
         super().__init__(bank=self._bank)
         if method in ("music", "minnorm") and isinstance(options.signal_order, int):
             self._tracker = SubspaceTracker(n, options.signal_order)
@@ -91,7 +95,7 @@ class SpectralAxis(SlotState):
         scale = weight * (self.snapshots * n)
         if self.method == "bartlett":
             u, value = self.search.extremum(sums, maximum=True)
-            return self._judge(u, sums[:, 0].real / scale, value / (scale * n), snapshots)
+            return self._judge(u, sums / scale[:, None], value / (scale * n), snapshots)
         r = forward_backward(sums) if self.options.forward_backward else sums
         factor = self._factor(r, group.slots, snapshots)
         c = self._lags.of_products(factor, factor.conj())
@@ -99,7 +103,13 @@ class SpectralAxis(SlotState):
         u[np.isnan(value)] = np.nan
         steering = self.manifold.steering(u).astype(r.dtype)[:, :, None]
         beam = np.einsum("kni,kni->k", steering.conj(), np.matmul(r, steering)).real
-        return self._judge(u, np.einsum("kii->k", r).real / scale, beam / (scale * n), snapshots)
+        return self._judge(u, self._lags.of(r) / scale[:, None], beam / (scale * n), snapshots)
+
+    def deviation(self, at: Columns, growth: Floats) -> Floats:
+        """Deviation (U,) of the coordinate where echoes make the variance of noise grow: see `inflated`."""
+        u, noise = at[f"{self.name}_u"], at[f"{self.name}_u_std"]
+        most = np.maximum((self.manifold.high - self.manifold.low) / np.sqrt(12), noise)
+        return self.manifold.coordinate_std(u, np.minimum(inflated(noise, growth), most))
 
     def mean_lags(self, slots: Slots, weight: Floats) -> Complex:
         """Lag polynomials (U, L) of the average covariances, per element: the first is the mean power."""
@@ -140,12 +150,12 @@ class SpectralAxis(SlotState):
             signal = order.leading(vectors, orders)
         return signal if self.method == "music" else spectra.minnorm(signal)
 
-    def _judge(self, u: Floats, total: Floats, beam: Floats, snapshots: Floats) -> Columns:
-        """Power of the path at u, of the rest, and the standard deviation that follows from them.
+    def _judge(self, u: Floats, lags: Complex, beam: Floats, snapshots: Floats) -> Columns:
+        """Power of the path at u, of the rest, and the deviation that noise alone gives it; the evidence.
 
         For a path in white noise `total` = tr R / N is P + sigma^2, `beam` = aᴴRa / N^2 is P + sigma^2 / N.
         """
-        n = self.manifold.size
+        n, total = self.manifold.size, lags[:, 0].real.astype(np.float64)
         power = np.maximum((n * beam - total) / (n - 1), total / np.sqrt(n * snapshots))
         noise = np.maximum(total - power, 1e-6 * total)
         u_std = stochastic_std(self.manifold.lattice, snapshots, power / noise)
@@ -156,7 +166,10 @@ class SpectralAxis(SlotState):
             u_std *= np.sqrt(mvdr_excess(n, mirrored * snapshots, power / noise, self.options.loading))
         return {
             self.name: self.manifold.coordinate(u),
-            f"{self.name}_std": self.manifold.coordinate_std(u, u_std),
+            f"{self.name}_noise_std": self.manifold.coordinate_std(u, u_std),
+            f"{self.name}_u": u,
+            f"{self.name}_u_std": u_std,
+            f"{self.name}_evidence": self._evidence.of(lags, u, u_std, snapshots),
             "power": power,
             "noise": noise,
         }

@@ -22,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.estimation.candidates import Candidates, log
+from chachart.node.estimation.judge import alone, inflated, judge, probability
 from chachart.node.estimation.lattice import Lattice
 from chachart.node.estimation.locator import Columns
 from chachart.node.estimation.manifold import AngleManifold, DelayManifold
@@ -61,9 +63,12 @@ class DirectPath:
         N_R x N_S, spacing, band.
     rho_max_m
         Farthest range that is searched.
+    echoes
+        Whether deviations allow for echoes that cannot be told from the path.
     """
 
-    def __init__(self, array: ArrayGeometry, rho_max_m: float) -> None:
+    def __init__(self, array: ArrayGeometry, rho_max_m: float, echoes: bool = True) -> None:
+        self._judge = judge("joint", 3) if echoes else alone
         self.angle, self.delay = AngleManifold.of(array), DelayManifold.of(array, rho_max_m)
         lattices = antennas, tones = self.angle.lattice, self.delay.lattice
         self.periodogram = Periodogram(antennas, tones)
@@ -87,6 +92,10 @@ class DirectPath:
         self._border = np.ones((a, d), np.bool_)
         self._border[1:-1, 1:-1] = False
         self._allowed = self._searched()
+        self._cells = [
+            2 * np.pi / antennas.span / self.angle.phase,
+            2 * np.pi / tones.span / abs(self.delay.phase),
+        ]
         self._variance = [lattice.moment / lattice.size for lattice in lattices]
         step_hz, step_m = self._steps(array)
         self._squint = step_hz / array.middle_hz * np.sqrt(self._variance[0] * self._variance[1])
@@ -105,8 +114,10 @@ class DirectPath:
         """
         floor = self._floor(power, looks)
         peaks = self._peaks(power, looks, floor)
-        u, v = self._parabola(power, self._select(power, peaks, floor))
+        cell, evidence = self._select(power, peaks, floor)
+        u, v = self._parabola(power, cell)
         u, v, top, u_var, v_var = self._newton(power, u, v)
+        lone = [1 / (2 * variance * top) for variance in self._variance]
         n = self._elements
         total = power.mean(axis=(1, 2), dtype=np.float64)
         least = LEAST_NOISE * total / n
@@ -119,16 +130,37 @@ class DirectPath:
         echoes = np.maximum(rest - (1 + self._doubt / np.sqrt(looks)) * noise, 0)
         error = n * (noise / looks * (1 + noise / path) + CROWDING * echoes)
         u_std, v_std = np.sqrt(error * u_var), np.sqrt(error * v_var)
+        evidence += [
+            *(
+                log(std * span / (2 * np.pi))
+                for std, span in zip((u_std, v_std), self.periodogram.span, strict=True)
+            ),
+            *(log(var / one) for var, one in zip((u_var, v_var), lone, strict=True)),
+            log(echoes / path * n),
+            log(noise / path),
+            log(self.delay.coordinate(-self._within(v, v_std)) / self._cells[1]),
+            *(np.full(len(u), np.log(cell)) for cell in self._cells),
+        ]
+        stacked = np.stack(evidence, axis=1)
+        growth_u, growth_v, odds = self._judge(stacked).T
         u = np.clip(_wrapped(u), self.angle.low, self.angle.high)
         v = -self._within(v, v_std)
+        told = [
+            np.minimum(inflated(std, growth), np.maximum((axis.high - axis.low) / np.sqrt(12), std))
+            for std, growth, axis in ((u_std, growth_u, self.angle), (v_std, growth_v, self.delay))
+        ]
         return {
             "theta": self.angle.coordinate(u),
             "rho": self.delay.coordinate(v),
-            "theta_std": self.angle.coordinate_std(u, u_std),
-            "rho_std": self.delay.coordinate_std(v, v_std),
+            "theta_std": self.angle.coordinate_std(u, told[0]),
+            "rho_std": self.delay.coordinate_std(v, told[1]),
+            "theta_noise_std": self.angle.coordinate_std(u, u_std),
+            "rho_noise_std": self.delay.coordinate_std(v, v_std),
+            "p_direct": probability(odds),
             "power": path / n,
             "noise": rest,
             "floor": noise,
+            "joint_evidence": stacked,
         }
 
     def _steps(self, array: ArrayGeometry) -> tuple[float, float]:
@@ -193,8 +225,11 @@ class DirectPath:
             found[lost * cells + best] = True
         return np.flatnonzero(found)
 
-    def _select(self, power: Power, peaks: Index, floor: Floats) -> Index:
-        """The direct path's grid point (U,), flat within its spectrum, among the peaks of all spectra."""
+    def _select(self, power: Power, peaks: Index, floor: Floats) -> tuple[Index, list[Floats]]:
+        """The direct path's grid point (U,), flat within its spectrum, among the peaks of all spectra.
+
+        And columns (U,) of what tells how sure that is.
+        """
         a, d = self.periodogram.grid
         k = len(power)
         ue, cell = np.divmod(peaks, a * d)
@@ -210,10 +245,13 @@ class DirectPath:
         delays = np.bincount(ue * d + j, share, k * d).reshape(k, d).astype(np.float32)
         angles = np.bincount(ue * a + i, share, k * a).reshape(k, a).astype(np.float32)
         score = np.log(np.maximum(share, np.float32(1e-30)))
-        score -= (delays @ self._delay_cost)[ue, j]
-        score -= (angles @ self._angle_cost)[ue, i]
-        best: Index = cell[of_each(ue, score == np.maximum.reduceat(score, first)[ue], k)]
-        return best
+        excess = (delays @ self._delay_cost)[ue, j]
+        beside = (angles @ self._angle_cost)[ue, i]
+        score -= excess
+        score -= beside
+        candidates = Candidates(ue, i, j, share, excess, beside, score)
+        chosen = candidates.best(k)
+        return cell[chosen], candidates.evidence(chosen, self.periodogram.grid, self.periodogram.span)
 
     def _parabola(self, power: Power, cell: Index) -> tuple[Floats, Floats]:
         """u and v (U,) of the vertices of parabolas through the logarithms around grid points `cell` (U,)."""

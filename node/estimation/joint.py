@@ -34,7 +34,7 @@ class JointLocator(Locator):
     BY_SLOT = ("_random",)
 
     def __init__(self, array: ArrayGeometry, options: Options) -> None:
-        self._direct_path = DirectPath(array, options.rho_max_m)
+        self._direct_path = DirectPath(array, options.rho_max_m, options.echoes)
         periodogram = self._direct_path.periodogram
         self._weights = Weights(options.decay)
         self._sums = CoherentSums(periodogram, options.decay)

@@ -45,11 +45,14 @@ class UniformManifold(ABC):
         p_n, n = 0 ... N - 1.
     low, high
         Range of u that is searched.
+    phase
+        u of one unit: of metres, or of the cosine of theta.
     """
 
     lattice: Lattice
     low: float
     high: float
+    phase: float
 
     @property
     def size(self) -> int:
@@ -95,8 +98,6 @@ class AngleManifold(UniformManifold):
     Beyond half a wavelength of element spacing only the unambiguous |u| <= pi is searched.
     """
 
-    phase: float
-
     @classmethod
     def of(cls, array: ArrayGeometry) -> AngleManifold:
         """The array's elements that count, at the middle of its band."""
@@ -135,8 +136,6 @@ class AngleManifold(UniformManifold):
 @dataclass(frozen=True, slots=True)
 class DelayManifold(UniformManifold):
     """u = phase rho, phase = -2 pi spacing / c times the step of the lattice of tones."""
-
-    phase: float
 
     @classmethod
     def of(cls, array: ArrayGeometry, rho_max_m: float) -> DelayManifold:

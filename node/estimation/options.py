@@ -47,7 +47,7 @@ class Options(Settings):
     Bartlett, which does not mind them."""
     elevation: bool = True
     """Look for azimuth and elevation; false: for azimuth alone, all UEs being at the array's own height."""
-    loading: float = Field(0.05, ge=0)
+    loading: float = Field(0.3, ge=0)
     """Diagonal loading of MVDR, as a fraction of the mean eigenvalue."""
     theta_step_deg: float | None = Field(None, ge=0.01, le=10)
     """Angle grid before refinement; where not set, as coarse as the refinement allows."""
@@ -69,6 +69,8 @@ class Options(Settings):
     """Of a UE's channel from frame to frame, for `joint`: `steady` averages frames, `random` their powers."""
     paths: int = Field(2, ge=1, le=8)
     """With `joint` and an array that is no line: so many paths are told apart where there are echoes."""
+    echoes: bool = True
+    """Deviations allow for echoes that cannot be told from the path, as in cities; false: for noise alone."""
     delay: Delay = "absolute"
     """`relative`: a frame's delay is its detection's, not the distance's, as in captures of Wi-Fi tools."""
     forget_after_s: float | None = Field(None, gt=0)
@@ -158,6 +160,7 @@ class Keywords(TypedDict, total=False):
     isq_reference: tuple[float, float] | None
     phase: Phase
     paths: int
+    echoes: bool
     delay: Delay
     forget_after_s: float | None
     max_ues: int

@@ -13,6 +13,7 @@ from chachart.node.estimation.amplitude import AmplitudeSum, ranging
 from chachart.node.estimation.axis import SpectralAxis
 from chachart.node.estimation.covariance import Bank, Grouping, Weights
 from chachart.node.estimation.directions.axis import DirectionAxis
+from chachart.node.estimation.judge import judge, probability
 from chachart.node.estimation.locator import Columns, Features, Locator
 from chachart.node.estimation.manifold import AngleManifold, DelayManifold
 from chachart.node.estimation.noise import NoiseFloor
@@ -72,6 +73,8 @@ class SeparateLocator(Locator):
             self._rho = SpectralAxis("rho", options.rho, delay, options.rho_step_m, antennas, options)
             self._takers["rho"] = self._rho
         self._amplitudes = options.rho in AMPLITUDE
+        self._judged = [axis for axis in (self._theta, self._rho) if isinstance(axis, SpectralAxis)]
+        self._echoes = options.echoes
         self.children |= self._takers
 
     def features(self, csi: NDArray[np.complex64]) -> Features:
@@ -103,6 +106,7 @@ class SeparateLocator(Locator):
             if axis is not None and axis.name not in at:
                 at |= axis.estimate(group, sums[axis.name], weight, frames)
         at["snapshots"] = frames
+        self._judge(at)
         at["snr"] = 10 * np.log10(at["power"] / at["noise"]) if "power" in at else np.full(count, np.nan)
         if self._theta is None:
             at["theta"], at["theta_std"] = (np.full(count, value) for value in NO_THETA)
@@ -113,7 +117,7 @@ class SeparateLocator(Locator):
                 power = self._signal(self._level, group, weight, frames)
             s = self._amplitude.estimate(sums["amplitude"], weight, power)
             known_rho = self._array.theta_rho(position)[1]
-            at["rho"], at["rho_std"] = self._ranging.ranges(group.slots, s, known_rho)
+            at["rho"], at["rho_std"] = self._ranging.ranges(group.slots, s, known_rho, position)
             relative = self._ranging.relative
         elif self._rho is None:
             at["rho"], at["rho_std"] = (np.full(count, value) for value in NO_RHO)
@@ -121,6 +125,26 @@ class SeparateLocator(Locator):
         if relative:
             at["relative"] = np.ones(count, np.int64)
         return at
+
+    def _judge(self, at: Columns) -> None:
+        """Add deviations, and the probability that the path is the direct one.
+
+        Two axes of one method are judged by what is seen on both.
+        """
+        axes, direct = self._judged, np.ones(len(at["snapshots"]))
+        growth = [np.full(len(direct), -np.inf)] * len(axes)
+        if self._echoes and len(axes) == 2 and axes[0].method == axes[1].method:
+            both = np.concatenate([at["theta_evidence"], at["rho_evidence"]], axis=1)
+            *growth, odds = judge(axes[0].method, 3)(both).T
+            direct = probability(odds)
+        elif self._echoes:
+            for n, axis in enumerate(axes):
+                evidence = at[f"{axis.name}_evidence"]
+                growth[n], odds = judge(f"{axis.method}.{axis.name}", 2)(evidence).T
+                direct = direct * probability(odds)
+        for axis, one in zip(axes, growth, strict=True):
+            at[f"{axis.name}_std"] = axis.deviation(at, one)
+        at["p_direct"] = direct if axes else np.full(len(direct), np.nan)
 
     def _signal(self, level: SpectralAxis, group: Grouping, weight: Floats, frames: Floats) -> Floats:
         """Power per element of all paths together, at least what could not be told from none."""

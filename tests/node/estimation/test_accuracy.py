@@ -29,7 +29,7 @@ def single_path(
     u = array.theta_phase * array.middle_hz / array.carrier_hz * np.cos(theta)
     v = array.rho_phase * rho
     h = np.exp(1j * (u[:, None, None] * n + v[:, None, None] * s)).astype(np.complex64)
-    estimator = ChartEstimator(array, averaging="mean", **options)
+    estimator = ChartEstimator(array, averaging="mean", echoes=False, **options)
     updates = None
     for t in range(frames):
         noise = rng.standard_normal((*h.shape, 2), dtype=np.float32).view(np.complex64)[..., 0]
@@ -78,7 +78,9 @@ def test_music_keeps_its_accuracy_however_the_order_is_chosen(
 @pytest.mark.parametrize("frames", [1, 2])
 def test_mvdr_knows_how_little_few_snapshots_say(array: ArrayGeometry, frames: int) -> None:
     """Its variance is up to twice the bound there; what it states follows."""
-    theta, rho, theta_honest, rho_honest = single_path(array, 10.0, frames, theta="mvdr", rho="mvdr")
+    theta, rho, theta_honest, rho_honest = single_path(
+        array, 10.0, frames, theta="mvdr", rho="mvdr", loading=0.05
+    )
     assert max(theta, rho) > 1.05
     assert 0.8 < theta_honest < 1.25
     assert 0.8 < rho_honest < 1.25
@@ -178,7 +180,7 @@ def test_ranging_by_amplitude(los: Build, truth: Build, amplitude: str) -> None:
 def test_isq_is_put_to_scale_by_known_positions_or_a_reference(los: Build, truth: Build) -> None:
     world = los(300)
     chart = world.chart(ChartEstimator(world.array, rho="isq", averaging="mean"), 20.0, 2)
-    assert np.isnan(chart.rho_std).all()
+    assert (chart.rho_std > 0).all()
     assert np.mean(chart.rho) == pytest.approx(np.mean(truth(world)[1]), rel=0.1)
     referred = ChartEstimator(world.array, rho="isq", isq_reference=(50.0, 4.0))
     alone = ChartEstimator(world.array, rho="isq")

@@ -24,7 +24,9 @@ def test_efficient_and_honest_on_one_path(
     los: Build, truth: Build, phase: bool, spacing: float, snr_db: float
 ) -> None:
     world = los(1500, seed=9, far=True, subcarrier_spacing_hz=spacing)
-    estimator = ChartEstimator(world.array, **JOINT, averaging="mean", phase="random" if phase else "steady")
+    estimator = ChartEstimator(
+        world.array, **JOINT, averaging="mean", phase="random" if phase else "steady", echoes=False
+    )
     chart = world.chart(estimator, snr_db, 10, phase=phase)
     theta, rho = truth(world)
     snr = world.snr * 10 ** (snr_db / 10)
@@ -134,7 +136,7 @@ def test_arrays_of_other_sizes(los: Build, antennas: int, subcarriers: int) -> N
     rho = np.random.default_rng(3).uniform(20, min(0.9 * array.unambiguous_rho_m, 900), count)
     world = one_path(array, rho)
     snr_db = 20 - 10 * np.log10(antennas * subcarriers / 1024)
-    estimator = ChartEstimator(array, **JOINT)
+    estimator = ChartEstimator(array, **JOINT, echoes=False)
     for _ in range(4):
         update = estimator.update(world.block(snr_db))
     for error, std in zip(world.errors(update), (update.theta_std, update.rho_std), strict=True):

@@ -122,8 +122,9 @@ def test_isq_lr_and_phase_watch_round_trip() -> None:
     isq, lr, watch = Isq(None), Lr(6, log_range=True), PhaseWatch(1.0)
     for state in (isq, lr, watch):
         state.resize(8)
-    isq.ranges(np.arange(8), s, rho)
-    lr.ranges(np.arange(8), s, rho)
+    position = rng.uniform(-500, 500, (8, 3))
+    isq.ranges(np.arange(8), s, rho, position)
+    lr.ranges(np.arange(8), s, rho, position)
     csi = (rng.standard_normal((8, 4, 4, 2)) @ [1, 1j]).astype(np.complex64)
     watch.look(Grouping(np.arange(8)), csi, 3 * csi, np.ones(8, np.bool_))
     fresh_isq, fresh_lr, fresh_watch = Isq(None), Lr(6, log_range=True), PhaseWatch(1.0)

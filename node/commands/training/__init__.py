@@ -1,0 +1,1 @@
+"""Fitting what `chachart train` ships: draws of the simulator's channels, and networks."""

@@ -1,0 +1,107 @@
+"""What a covariance's lags tell of an estimate read from them: is one wave all there is?
+
+A lone wave in white noise has c_k proportional to exp(-j k u). Echoes that are not resolved make the lags
+fall off and turn, those that are show as beams of their own. All of it is relative to the estimate and in
+resolution cells, so that it means the same for any array and band.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from chachart.node.estimation.lattice import Lattice
+from chachart.node.estimation.manifold import phasors, polynomial_table
+from chachart.node.estimation.noise import NoiseFloor
+
+Complex = NDArray[np.complexfloating[Any, Any]]
+Floats = NDArray[np.float64]
+
+LAGS: Final = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4)
+"""Lags whose coherence is looked at, as shares of the longest."""
+NEAR: Final = 4.0
+"""Cells around the estimate in which echoes count as near."""
+LOBE: Final = 1.0
+"""Cells from the estimate within which its own main lobe is."""
+LEAST: Final = 1e-4
+"""Shares of power below which nothing is told apart."""
+
+
+class AxisEvidence:
+    """Evidence on one axis.
+
+    Parameters
+    ----------
+    lattice
+        Of its elements.
+    cell
+        How much of the coordinate a resolution cell is: metres, or the cosine of theta.
+    """
+
+    NAMES: Final = (
+        "noise",
+        "snr",
+        "unexplained",
+        *(f"loss{n}" for n in range(len(LAGS))),
+        *(f"turn{n}" for n in range(len(LAGS))),
+        "near",
+        "highest",
+        "cell",
+    )
+
+    def __init__(self, lattice: Lattice, cell: float) -> None:
+        self._lattice, self._cell = lattice, cell
+        self._floor = NoiseFloor(lattice)
+        wanted = np.unique([np.abs(lattice.lags - share * lattice.lags[-1]).argmin() for share in LAGS])
+        self._picked = np.resize(wanted[wanted > 0], len(LAGS))
+        self._scale = lattice.size / (2 * np.maximum(lattice.pairs, 1))
+        count = 2 * lattice.span
+        offsets = np.arange(count) - count // 2
+        around = np.asarray(np.pi / lattice.span * offsets, np.float64)
+        self._table = polynomial_table(around, lattice.lags).astype(np.float32)
+        self._away = np.abs(offsets) / 2 > LOBE
+        self._near = self._away & (np.abs(offsets) / 2 <= NEAR)
+
+    def of(self, lags: Complex, u: Floats, u_std: Floats, snapshots: Floats) -> Floats:
+        """Evidence (U, F) on estimates.
+
+        Parameters
+        ----------
+        lags
+            (U, L) of covariances per element, lags[:, 0] being the mean power.
+        u, u_std
+            (U,) the estimates, and their deviation if noise were all.
+        snapshots
+            (U,) behind each covariance.
+        """
+        n = self._lattice.size
+        total = lags[:, 0].real
+        noise = np.minimum(self._floor.power(lags, snapshots), total)
+        noise = np.maximum(noise, LEAST * LEAST * total)
+        signal = np.maximum(total - noise, total / np.sqrt(n * snapshots))
+        turned = lags * phasors(u, self._lattice.lags).T
+        coherence = turned[:, self._picked] * self._scale[self._picked] / signal[:, None]
+        beams = turned.astype(np.complex64).view(np.float32) @ self._table
+        beams -= noise[:, None].astype(np.float32)
+        beams /= (n * signal)[:, None].astype(np.float32)
+        path = beams[:, len(self._away) // 2]
+        near = np.maximum(beams[:, self._near], 0).sum(axis=1) / 2 if self._near.any() else 0 * path
+        highest = beams[:, self._away].max(axis=1) if self._away.any() else 0 * path
+        columns = [
+            np.log(u_std * self._lattice.span / (2 * np.pi)),
+            np.log(signal / noise),
+            _log(1 - path),
+            *(_log(1 - coherence.real[:, i]) for i in range(len(LAGS))),
+            *(_log(np.abs(coherence.imag[:, i])) for i in range(len(LAGS))),
+            _log(near),
+            _log(highest),
+            np.full(len(u), np.log(self._cell)),
+        ]
+        return np.stack(columns, axis=1)
+
+
+def _log(share: NDArray[Any]) -> Floats:
+    logarithm: Floats = np.log(np.clip(share, LEAST, 10.0).astype(np.float64))
+    return logarithm
