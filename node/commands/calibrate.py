@@ -147,6 +147,8 @@ def show(finding: Finding, checked: bool) -> None:
     if c.antenna_delay_s:
         late = 1e9 * np.array(c.antenna_delay_s)
         print("delays in ns: " + " ".join(f"{delay:.2f}" for delay in late))
+    if finding.silent:
+        print(f"subcarriers {', '.join(map(str, finding.silent))} carry nothing and are left as they are")
     for cycle in finding.swapped:
         names = " and ".join(map(str, cycle)) if len(cycle) == 2 else " -> ".join(map(str, cycle))
         verb = "are swapped" if len(cycle) == 2 else "are connected in a circle"
@@ -166,6 +168,7 @@ def as_json(finding: Finding) -> dict[str, Any]:
         "swapped": [list(cycle) for cycle in finding.swapped],
         "sure": finding.sure,
         "suspects": finding.suspects,
+        "silent": finding.silent,
         "off_before_deg": np.degrees(finding.before_rad).round(3).tolist(),
         "off_after_deg": np.degrees(finding.after_rad).round(3).tolist(),
         "calibration": finding.calibration.as_dict(),

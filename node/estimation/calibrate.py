@@ -35,6 +35,8 @@ SURE_DELAY = 6.0
 """Delays of single antennas are believed when one is so many deviations from the mean."""
 LEAST_TONES = 4
 """Subcarriers that it takes to tell delays of single antennas."""
+SILENT = 1e-6
+"""A subcarrier with so much less power than the strongest one carries nothing."""
 MARGIN = 5.0
 """Log likelihood by which a swap must then beat chance: wrong in 1 of 100 arrays of 32 with 30 deg errors."""
 
@@ -197,14 +199,19 @@ def responses(
     The ratio of the two, up to a phase for each place, is fitted by an outer product of antennas and
     subcarriers, and by delays of single antennas where they stand out of the noise. The overall amplitude is
     left as it is. `offset_hz` (N_S,) are the subcarriers' distances from the carrier; None: no delays.
+    Subcarriers that are `silent` are left as they are.
     """
-    ratio = coherent_mean(measured[:, list(order), :] / expected)
+    heard = ~silent(measured)
+    ratio = coherent_mean((measured[:, list(order), :] / expected)[:, :, heard])
+    offset_hz = None if offset_hz is None else offset_hz[heard]
     antenna, subcarrier = _product(ratio)
     delay_s = _delays(ratio, antenna, subcarrier, offset_hz)
     if delay_s is not None and offset_hz is not None:
         turn = np.exp(2j * np.pi * np.outer(delay_s, offset_hz))
         antenna, subcarrier = _product(ratio * turn)
-    return Calibration.of(order, antenna, subcarrier, delay_s)
+    every = np.ones(len(heard), np.complex128)
+    every[heard] = subcarrier
+    return Calibration.of(order, antenna, every, delay_s)
 
 
 def _product(ratio: Complex) -> tuple[Complex, Complex]:
@@ -236,6 +243,13 @@ def _delays(ratio: Complex, antenna: Complex, subcarrier: Complex, offset_hz: Fl
     left = np.angle(rest * np.exp(-1j * np.angle(rest.sum(axis=1, keepdims=True))))
     error = np.sqrt(float(np.mean(left**2)) / float(centred @ centred)) / (2 * np.pi)
     return delay - delay.mean() if np.abs(delay - delay.mean()).max() > SURE_DELAY * error else None
+
+
+def silent(measured: NDArray[Any]) -> NDArray[np.bool_]:
+    """Which subcarriers of frames (P, N_R, N_S) carry nothing, as guard bands and the carrier itself do."""
+    power = np.einsum("pnk,pnk->k", measured, measured.conj()).real
+    quiet: NDArray[np.bool_] = power <= SILENT * power.max()
+    return quiet
 
 
 def deviations(array: ArrayGeometry, phasors: Complex, position: NDArray[Any]) -> Floats:

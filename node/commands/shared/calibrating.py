@@ -66,6 +66,8 @@ class Finding:
         Besides that, cycles of antennas that are connected to one another's inputs; a swap is a pair.
     sure
         Whether more than one place says so.
+    silent
+        Subcarriers that carry nothing, and are left as they are.
     before_rad, after_rad
         Rms phase (N_R,) by which each antenna is off the wave that the others see, without and with it.
     """
@@ -74,6 +76,7 @@ class Finding:
     wrong: str | None
     swapped: list[tuple[int, ...]]
     sure: bool
+    silent: list[int]
     before_rad: NDArray[np.float64]
     after_rad: NDArray[np.float64]
 
@@ -141,7 +144,8 @@ def read(reader: RecordingReader, references: list[int]) -> Capture:
                 there, first = np.unique(index[rows], return_index=True)
                 covariance[there] += np.add.reduceat(csi @ csi.conj().transpose(0, 2, 1), first)
             if block.position is not None:
-                position[index[index >= 0]] = block.position[index >= 0]
+                told = (index >= 0) & np.isfinite(block.position).all(axis=1)
+                position[index[told]] = block.position[told]
             mine = np.isin(block.ue, wanted)
             if mine.any() and sum(map(len, kept)) < MAX_REFERENCE_FRAMES:
                 kept.append(block.take(mine))
@@ -253,6 +257,7 @@ def _finding(
         wrong,
         fitting.cycles(moved),
         sure,
+        np.flatnonzero(fitting.silent(capture.frames)).tolist() if len(capture.frames) else [],
         fitting.deviations(array, raw, capture.position),
         fitting.deviations(array, _corrected(calibration, raw), capture.position),
     )

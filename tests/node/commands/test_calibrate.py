@@ -6,6 +6,7 @@ import pytest
 
 from chachart.config.settings import ArraySettings
 from chachart.node.commands.main import main
+from chachart.node.commands.shared.calibrating import read
 from chachart.node.data.calibration import Calibration
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
@@ -92,6 +93,34 @@ def test_swapped_cables_are_named_and_theta_is_as_good_as_before(tmp_path, capsy
     assert theta < 1.2 * best_theta < errors(block, None)[0]
     assert rho < 1.5 * best_rho + 0.5
     assert max(report["off_after_deg"]) < 15 < max(report["off_before_deg"])
+
+
+def test_subcarriers_that_carry_nothing_are_left_as_they_are(tmp_path, capsys, clean):
+    block = faulty(clean, [(3, 17)])
+    block.csi[:, :, [0, 4]] = 0
+    path = tmp_path / "capture.mcap"
+    recorded(path, block)
+    report, calibration = calibrated(path, "--ue", str(REFERENCE))
+    assert report["swapped"] == [[3, 17]]
+    assert report["silent"] == [0, 4]
+    assert "subcarriers 0, 4 carry nothing" in capsys.readouterr().out
+    assert [calibration.subcarrier_gain[k] for k in (0, 4)] == [1.0, 1.0]
+    assert np.isfinite(calibration.subcarrier_phase_rad).all()
+    assert errors(block, calibration)[0] < 1.5 * errors(clean, None)[0]
+
+
+def test_a_known_place_stays_known_where_later_frames_do_not_tell_it(tmp_path, clean):
+    """Places of other UEs help to find the order; they are told by one frame of each here."""
+    block = faulty(clean, [(3, 17)])
+    first = np.zeros(len(block), bool)
+    first[np.unique(block.ue, return_index=True)[1]] = True
+    told = np.where((first | (block.ue == REFERENCE))[:, None], block.position, np.nan).astype(np.float32)
+    path = tmp_path / "capture.mcap"
+    with RecordingWriter(path, ARRAY) as writer:
+        for start in range(0, len(block), 100):
+            writer.write(replace(block, position=told).cut(start, min(start + 100, len(block))))
+    capture = read(RecordingReader(path), [REFERENCE])
+    assert np.isfinite(capture.position).all()
 
 
 def test_the_place_may_be_said_instead(tmp_path, clean):
