@@ -96,15 +96,21 @@ def calibrated_starts(
 def write_without_flips(reader: RecordingReader, starts: list[Start], target: Path) -> None:
     """A copy of a recording in which the chains are as at its first start; its note names what was turned.
 
+    Starts of which it is not sure stay as they are.
+
     Raises
     ------
     SetupError
         If the file cannot be written.
     """
-    turned = [{"first_frame": s.first, "signs": list(s.signs), "blind": s.blind} for s in starts]
+    applied = [start.signs if start.sure else (1,) * len(start.signs) for start in starts]
+    turned = [
+        {"first_frame": start.first, "signs": list(signs), "blind": start.blind, "sure": start.sure}
+        for start, signs in zip(starts, applied, strict=True)
+    ]
     note = {**reader.note, "chains_turned": turned}
     begins = np.array([start.first for start in starts])
-    signs = np.array([start.signs for start in starts], np.float32)
+    factors = np.array(applied, np.float32)
     number = 0
     with (
         written_whole(target) as file,
@@ -112,7 +118,7 @@ def write_without_flips(reader: RecordingReader, starts: list[Start], target: Pa
     ):
         for block in reader.blocks():
             which = np.searchsorted(begins, number + np.arange(len(block)), side="right") - 1
-            csi = block.csi * signs[which][:, :, None]
+            csi = block.csi * factors[which][:, :, None]
             writer.write(CsiBlock(block.array, block.seq, block.ue, block.time_ns, csi, block.position))
             number += len(block)
 
@@ -122,7 +128,8 @@ def lines(starts: list[Start]) -> Iterator[str]:
     for number, start in enumerate(starts):
         turned = [str(n) for n, sign in enumerate(start.signs) if sign < 0]
         told = f"chains {', '.join(turned)} turned by 180 degrees" if turned else "as the first"
-        doubt = "" if start.sure else f"; not sure: {np.degrees(start.off_rad):.0f} degrees off either"
+        off = f"{np.degrees(start.off_rad):.0f} degrees off either"
+        doubt = "" if start.sure else f"; not sure ({off}): left as it is"
         how = " (blind: up to every other chain)" if start.blind else ""
         yield f"start {number} at frame {start.first}: {told}{how}{doubt}"
 

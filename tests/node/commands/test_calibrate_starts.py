@@ -97,3 +97,20 @@ def test_a_clock_that_steps_back_begins_a_start(tmp_path: Path, flips: np.ndarra
     words = ["calibrate", str(path), "--per-start", "--ue", "7", "--json", str(report)]
     assert main([*words, "--position", "9,-5,9.5"]) == 0
     assert [start["first_frame"] for start in json.loads(report.read_text())["starts"]] == [0, FRAMES]
+
+
+def test_a_start_of_which_it_is_not_sure_stays_as_it_is(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    odd, out = tmp_path / "odd.mcap", tmp_path / "out.mcap"
+    reader = RecordingReader(recording)
+    block = CsiBlock.concatenate(list(reader.blocks()))
+    csi = block.csi.copy()
+    csi[-FRAMES:, 2] *= np.complex64(1j)
+    with RecordingWriter(odd, ARRAY, note=reader.note) as writer:
+        writer.write(CsiBlock("lab", 0, block.ue, block.time_ns, csi, block.position))
+    assert main(["calibrate", str(odd), "--per-start", "--ue", "7", "--corrected", str(out)]) == 0
+    assert "not sure" in capsys.readouterr().out
+    after = CsiBlock.concatenate(list(RecordingReader(out).blocks()))
+    np.testing.assert_array_equal(after.csi[-FRAMES:], csi[-FRAMES:])
+    assert RecordingReader(out).note["chains_turned"][-1]["sure"] is False
