@@ -42,7 +42,7 @@ class ArraySettings(Settings):
     elements: tuple[Vector, ...] | None = Field(None, examples=[((0.0, 0.05, 0.0), (0.05, 0.0, 0.0))])
     """Elements one by one: metres along (axis, up, broadside) from position_m."""
     file: Path | None = None
-    """A file with the elements: .csv (right,up,normal a line), spec.json, or pyespargos .yml."""
+    """A file with the elements: .csv (right,up,normal), spec.json, pyespargos .yml, or QuaDRiGa's .qdant."""
     file_array: int | None = Field(None, ge=0)
     """Which of the arrays in `file`."""
     carrier_hz: float = Field(2e9, gt=0)
@@ -123,6 +123,7 @@ class ArraySettings(Settings):
         if described is None:
             spacing = self.element_spacing_m or self._half_wave()
             return ArrayGeometry(self.name, self.antennas, *band, spacing, position, **pose)
+        pose["pattern"] = described.pattern
         if described.position_m is not None and "position_m" not in self.model_fields_set:
             position = described.position_m
         return ArrayGeometry.of_elements(self.name, described.elements, *band, position_m=position, **pose)

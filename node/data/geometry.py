@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from chachart.node.data import elements as layouts
 from chachart.node.data.calibration import Calibration
+from chachart.node.data.pattern import Pattern
 from chachart.node.data.pose import Pose, Sees, Vector
 
 SPEED_OF_LIGHT = 299_792_458.0
@@ -36,7 +37,16 @@ MOST_TONE = 1 << 20
 FloatArray = NDArray[np.float64]
 ClockShares = Literal["time", "frequency"]
 
-_LATER: Final = ("tones", "dead_antennas", "dead_tones", "elements", "sees", "clock", "clock_shares")
+_LATER: Final = (
+    "tones",
+    "dead_antennas",
+    "dead_tones",
+    "elements",
+    "sees",
+    "clock",
+    "clock_shares",
+    "pattern",
+)
 """Fields that a description goes without while they are at their defaults, as those of old recordings do."""
 
 
@@ -78,6 +88,8 @@ class ArrayGeometry(Pose):
     clock, clock_shares
         Name of the clock that the array runs by, None for one of its own; arrays by one clock share time, or
         only frequency.
+    pattern
+        Gains of the elements over directions; None: they are all alike.
 
     Raises
     ------
@@ -104,6 +116,7 @@ class ArrayGeometry(Pose):
     sees: Sees | None = None
     clock: str | None = None
     clock_shares: ClockShares = "time"
+    pattern: Pattern | None = None
 
     def __post_init__(self) -> None:
         if type(self.name) is not str or not self.name:
@@ -166,6 +179,8 @@ class ArrayGeometry(Pose):
                 raise ValueError(
                     f"{name} must be one of {', '.join(str(k) for k in known if k)}, not {value!r}"
                 )
+        if self.pattern is not None and self.pattern.elements != self.antennas:
+            raise ValueError(f"the pattern is of {self.pattern.elements} elements, not {self.antennas}")
         if self.clock is not None and (type(self.clock) is not str or not self.clock):
             raise ValueError(f"clock must be a name, not {self.clock!r}")
 
@@ -307,6 +322,8 @@ class ArrayGeometry(Pose):
         plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
         if isinstance(plain.get("elements"), tuple):
             plain["elements"] = tuple(tuple(p) if isinstance(p, list) else p for p in plain["elements"])
+        if plain.get("pattern") is not None:
+            plain["pattern"] = Pattern.from_dict(plain["pattern"])
         if plain.get("calibration") is not None:
             plain["calibration"] = Calibration.from_dict(plain["calibration"])
         try:
@@ -316,14 +333,13 @@ class ArrayGeometry(Pose):
 
 
 def _same(a: Any, b: Any) -> bool:
-    if a is None or b is None or isinstance(a, str):
+    if a is None or b is None or isinstance(a, str | Pattern):
         return bool(a == b)
     return np.shape(a) == np.shape(b) and bool(np.allclose(a, b, rtol=1e-6, atol=1e-9))
 
 
 def _brief(value: Any) -> str:
-    text = str(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."
+    return text if len(text := str(value)) <= 80 else f"{text[:77]}..."
 
 
 def _ascending(name: str, values: Any) -> tuple[int, ...]:

@@ -59,6 +59,13 @@ def unreachable(options: Options, array: ArrayGeometry) -> Iterator[tuple[str, s
 def _directions(options: Options, array: ArrayGeometry) -> Iterator[tuple[str, str]]:
     """What does not go with an array that is no uniform line."""
     own = array.own_elements[array.live_antennas]
+    if array.pattern is not None:
+        for name, off in (
+            ("forward_backward", not options.forward_backward),
+            ("smoothing", options.smoothing == 1),
+        ):
+            if not off:
+                yield name, "must be off: elements with patterns of their own do not look alike"
     if options.theta != NONE and not array.is_line:
         spread = np.linalg.svd(own - own.mean(axis=0), compute_uv=False) if len(own) > 1 else np.zeros(1)
         if len(own) < 3 or spread[1] < 1e-3 * spread[0]:

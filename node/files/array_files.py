@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from chachart.node.data.elements import grid
 from chachart.node.data.extras import require
+from chachart.node.data.pattern import Pattern
 from chachart.node.data.pose import Vector
 
 ESPARGOS_SPACING_M = 0.06
@@ -39,6 +40,8 @@ class ArrayFile:
         Its pose; None where the file has none.
     channels
         For each element the number of its channel in the capture; None where that is its own number.
+    pattern
+        Of the elements; None where the file has none.
     """
 
     elements: NDArray[np.float64]
@@ -46,6 +49,7 @@ class ArrayFile:
     right: Vector | None = None
     up: Vector | None = None
     channels: tuple[int, ...] | None = None
+    pattern: Pattern | None = None
 
 
 def read_array_file(path: Path, array: int | None, spacing_m: float | None) -> ArrayFile:
@@ -54,7 +58,7 @@ def read_array_file(path: Path, array: int | None, spacing_m: float | None) -> A
     Parameters
     ----------
     path
-        `.csv`, `.json` or `.yml`.
+        `.csv`, `.json`, `.yml` or `.qdant`.
     array
         Which of the arrays in the file, from 0; None if it has only one.
     spacing_m
@@ -72,6 +76,7 @@ def read_array_file(path: Path, array: int | None, spacing_m: float | None) -> A
         ".json": _from_spec,
         ".yml": _from_yaml,
         ".yaml": _from_yaml,
+        ".qdant": _from_qdant,
     }
     if path.suffix.lower() not in readers:
         raise ValueError(f"{path}: no array file ends in {path.suffix!r}, only {', '.join(readers)}")
@@ -187,6 +192,33 @@ def _from_yaml(path: Path, array: int | None, spacing_m: float | None) -> ArrayF
     spacing = spacing_m or ESPARGOS_SPACING_M
     order = None if channels == list(range(len(channels))) else tuple(channels)
     return ArrayFile(grid(len(rows), len(rows[0]), spacing), channels=order)
+
+
+def _from_qdant(path: Path, array: int | None, spacing_m: float | None) -> ArrayFile:
+    """QuaDRiGa's array antenna: x is normal, y right, z up; the vertically polarised pattern counts."""
+    require("patterns", f"{path}:")
+    from quadriga_lib import arrayant
+
+    if not path.is_file():
+        raise ValueError(f"{path} cannot be read: there is no such file")
+    try:
+        read = arrayant.qdant_read(str(path), (array or 0) + 1)
+    except (RuntimeError, ValueError) as error:
+        raise ValueError(f"{path} is no QDANT file: {error}") from None
+    azimuth, elevation = (np.asarray(read[name]).ravel() for name in ("azimuth_grid", "elevation_grid"))
+    whole = (
+        np.allclose(np.diff(azimuth), azimuth[1] - azimuth[0], rtol=1e-4)
+        and np.allclose(np.diff(elevation), elevation[1] - elevation[0], rtol=1e-4)
+        and abs(azimuth[0] + np.pi) < 1e-3
+        and azimuth[-1] > np.pi - 1.01 * (azimuth[1] - azimuth[0])
+        and np.allclose(elevation[[0, -1]], [-np.pi / 2, np.pi / 2], atol=1e-3)
+    )
+    if not whole:
+        raise ValueError(f"{path}: the pattern must be sampled evenly over the whole sphere")
+    gains = np.asarray(read["e_theta_re"]) + 1j * np.asarray(read["e_theta_im"])
+    gains = np.moveaxis(gains.reshape(len(elevation), len(azimuth), -1), 2, 0)
+    forward, right, up = np.asarray(read["element_pos"], np.float64).reshape(3, -1)
+    return ArrayFile(np.stack([right, up, forward], axis=1), pattern=Pattern.of_samples(gains))
 
 
 def _pick(path: Path, arrays: list[Any], array: int | None) -> Mapping[str, Any]:

@@ -16,8 +16,8 @@ class LosChannel:
 
     d is the exact distance from the UE to the antenna (curved wave front, amplitude falling along the array),
     f the frequency of the subcarrier, c the array's `light_speed_m_s` and r the exponent of the amplitude (1
-    in free space). Neither reflections nor element patterns are modelled. A UE nearer than a wavelength to
-    an antenna counts as one wavelength away.
+    in free space). Elements have their patterns; reflections are not modelled. A UE nearer than a wavelength
+    to an antenna counts as one wavelength away.
     """
 
     def __init__(self, array: ArrayGeometry, exponent: float = 1.0) -> None:
@@ -33,5 +33,7 @@ class LosChannel:
         distance = np.maximum(distance, array.wavelength_m)
         first = phasor(-distance / array.wavelength_m)
         first *= (distance**-self.exponent).astype(np.float32)
+        if array.pattern is not None:
+            first *= array.pattern.gains(array.towards(position)).astype(np.complex64)
         wave = over_tones(first, distance * (array.rho_phase / (2 * np.pi)), array.tone_numbers)
         return np.ascontiguousarray(wave.transpose(1, 2, 0))

@@ -36,7 +36,7 @@ def manifold_of(array: ArrayGeometry, *, elevation: bool = True) -> DirectionMan
     """
     if array.is_line or not elevation:
         return RingManifold(array)
-    if lattice(array.own_elements[array.live_antennas]) is not None:
+    if array.pattern is None and lattice(array.own_elements[array.live_antennas]) is not None:
         return BoardManifold(array)
     return FreeManifold(array)
 

@@ -27,6 +27,8 @@ PER_CELL = 4
 """Grid points per resolution cell, each way."""
 CONVERGED = 1e-5
 """In resolution cells: after a step as small, Newton's error is of the order of its square."""
+GAIN_STEP = 1e-4
+"""In rad: over which differences of patterns are taken."""
 LEAST_INFORMATION = 12 / np.pi**2
 """What is known of an angle beforehand: it lies within half a turn."""
 
@@ -66,7 +68,10 @@ class DirectionManifold(ABC):
         wavelength = array.light_speed_m_s / array.middle_hz
         self.waves = 2 * np.pi / wavelength * own
         self.facing = array.facing
-        self.plane = _side(mirror(own), self.facing)
+        self._pattern = array.pattern
+        self._live = np.flatnonzero(array.live_antennas)
+        # elements with patterns of their own tell the two sides of their plane apart
+        self.plane = None if array.pattern is not None else _side(mirror(own), self.facing)
         self._axes = None if self.plane is None else tangents(self.plane[None])
         reach = float(np.linalg.norm(own[:, None] - own, axis=2).max())
         self.cell = min(wavelength / max(reach + wavelength / 4, 1e-9), np.pi / 2)
@@ -108,7 +113,19 @@ class DirectionManifold(ABC):
 
     def steering(self, d: Any) -> NDArray[np.complex128]:
         """Steering vectors (..., N) in own directions d (..., 3), as elements measure waves from there."""
-        return np.asarray(np.exp(1j * (np.asarray(d, np.float64) @ self.waves.T)))
+        d = np.asarray(d, np.float64)
+        a: NDArray[np.complex128] = np.exp(1j * (d @ self.waves.T))
+        if self._pattern is not None:
+            a *= self.gains(d.reshape(-1, 3)).reshape(a.shape)
+        return a
+
+    def gains(self, d: Floats) -> NDArray[np.complex128]:
+        """Patterns (K, N) of the elements in directions d (K, 3), |g|^2 = N together."""
+        assert self._pattern is not None
+        g = self._pattern.gains(d)[:, self._live]
+        size = np.linalg.norm(g, axis=1, keepdims=True)
+        scaled: NDArray[np.complex128] = g * (np.sqrt(self.size) / np.maximum(size, 1e-12))
+        return scaled
 
     def steering_derivatives(self, d: Floats, e: Floats) -> NDArray[np.complex128]:
         """(K, 6, N): a, a_1, a_2, a_11, a_12, a_22, its derivatives by steps along `ways` e (2, K, 3)."""
@@ -120,7 +137,33 @@ class DirectionManifold(ABC):
         out[:, 3] = -(p * p + bend) * a
         out[:, 4] = -(p * q) * a
         out[:, 5] = -(q * q + bend) * a
-        return out
+        return out if self._pattern is None else self._with_gains(out, d, e)
+
+    def _with_gains(self, waves: NDArray[np.complex128], d: Floats, e: Floats) -> NDArray[np.complex128]:
+        """Derivatives of waves times gains; the smooth gains' own by central differences."""
+        h = GAIN_STEP
+        g = {
+            (i, j): self.gains(moved(d, e, h * np.stack([np.full(len(d), i), np.full(len(d), j)])))
+            for i in (-1, 0, 1)
+            for j in (-1, 0, 1)
+        }
+        one, two = (g[1, 0] - g[-1, 0]) / (2 * h), (g[0, 1] - g[0, -1]) / (2 * h)
+        g11 = (g[1, 0] - 2 * g[0, 0] + g[-1, 0]) / h**2
+        g22 = (g[0, 1] - 2 * g[0, 0] + g[0, -1]) / h**2
+        g12 = (g[1, 1] - g[1, -1] - g[-1, 1] + g[-1, -1]) / (4 * h**2)
+        a, a1, a2, a11, a12, a22 = waves.transpose(1, 0, 2)
+        g0 = g[0, 0]
+        return np.stack(
+            [
+                g0 * a,
+                one * a + g0 * a1,
+                two * a + g0 * a2,
+                g11 * a + 2 * one * a1 + g0 * a11,
+                g12 * a + one * a2 + two * a1 + g0 * a12,
+                g22 * a + 2 * two * a2 + g0 * a22,
+            ],
+            axis=1,
+        )
 
     @property
     def flat(self) -> bool:
@@ -234,6 +277,12 @@ class DirectionManifold(ABC):
 
     def information(self, d: Floats, e: Floats) -> Floats:
         """(3, K: 11, 12, 22): sum over the elements of what their phases' derivatives along e deviate by."""
+        if self._pattern is not None:
+            a = self.steering_derivatives(d, e)[:, :3]
+            slopes = (
+                a[:, 1:] - np.einsum("kin,kn->ki", a[:, 1:], a[:, 0].conj() / self.size)[..., None] * a[:, :1]
+            )
+            return _packed(np.einsum("kin,kjn->kij", slopes.conj(), slopes).real)
         p = e @ self._scatter
         return np.stack([(p[0] * e[0]).sum(1), (p[0] * e[1]).sum(1), (p[1] * e[1]).sum(1)])
 
