@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from chachart.node.estimation.bounds import minnorm_excess, mvdr_excess, stochas
 from chachart.node.estimation.covariance import Bank, Grouping, LagSums, forward_backward
 from chachart.node.estimation.evidence import AxisEvidence
 from chachart.node.estimation.judge import inflated
+from chachart.node.estimation.lattice import Lattice
 from chachart.node.estimation.locator import Columns
 from chachart.node.estimation.manifold import Search, UniformManifold, derivatives
 from chachart.node.estimation.options import Options
@@ -47,12 +49,16 @@ class SpectralAxis(SlotState):
         options: Options,
     ) -> None:
         n = manifold.size
-        self.name, self.method, self.manifold, self.options = name, method, manifold, options
-        self.snapshots = snapshots
-        self.search = Search(manifold, step, options.newton_steps)
+        self.name, self.method, self.options = name, method, options
+        self.snapshots, self.whole = snapshots, manifold
         shape = (len(manifold.lattice.lags),) if method == "bartlett" else (n, n)
         self._bank = Bank(shape, np.complex64, options.decay)
-        self._lags = LagSums(manifold.lattice)
+        if options.smoothing < 1 and method != "bartlett" and manifold.lattice.dense:
+            n = min(max(2, round(options.smoothing * n)), n)
+            manifold = replace(manifold, lattice=Lattice.even(n))
+        self.manifold = manifold
+        self.search = Search(manifold, step, options.newton_steps)
+        self._lags, self._whole_lags = LagSums(manifold.lattice), LagSums(self.whole.lattice)
         self._excess = np.sqrt(minnorm_excess(manifold.lattice)) if method == "minnorm" else 1.0
         cell = 2 * np.pi / manifold.lattice.span / abs(manifold.phase)
         self._evidence = AxisEvidence(manifold.lattice, cell)
@@ -96,7 +102,7 @@ class SpectralAxis(SlotState):
         if self.method == "bartlett":
             u, value = self.search.extremum(sums, maximum=True)
             return self._judge(u, sums / scale[:, None], value / (scale * n), snapshots)
-        r = forward_backward(sums) if self.options.forward_backward else sums
+        r = self._prepared(sums)
         factor = self._factor(r, group.slots, snapshots)
         c = self._lags.of_products(factor, factor.conj())
         u, value = self.search.extremum(c, maximum=self.method in spectra.MAXIMUM)
@@ -114,15 +120,15 @@ class SpectralAxis(SlotState):
     def mean_lags(self, slots: Slots, weight: Floats) -> Complex:
         """Lag polynomials (U, L) of the average covariances, per element: the first is the mean power."""
         sums = self._bank.rows[slots]
-        lags = sums if self.method == "bartlett" else self._lags.of(sums)
-        scale = weight * (self.snapshots * self.manifold.size)
+        lags = sums if self.method == "bartlett" else self._whole_lags.of(sums)
+        scale = weight * (self.snapshots * self.whole.size)
         return np.asarray(lags / scale[:, None], np.complex128)
 
     def spectrum(self, slot: int, frames: float, points: int) -> tuple[Floats, Floats]:
         """Coordinate grid and spectrum (largest value 1) of one UE, in double precision."""
         c: Complex = self._bank.rows[[slot]].astype(np.complex128)
         if self.method != "bartlett":
-            r = forward_backward(c) if self.options.forward_backward else c
+            r = self._prepared(c)
             factor = self._factor(r, None, np.array([frames * self.snapshots]))
             c = self._lags.of_products(factor, factor.conj())
         grid = self.manifold.points(points)
@@ -132,6 +138,13 @@ class SpectralAxis(SlotState):
         if self.method != "bartlett":
             power = 1 / np.maximum(power, 1e-12 * power.max())
         return grid, power / power.max()
+
+    def _prepared(self, r: Complex) -> Complex:
+        """Covariances (U, N, N) after sub-array smoothing and forward-backward averaging."""
+        n, shifts = self.manifold.size, self.whole.size - self.manifold.size + 1
+        if shifts > 1:
+            r = np.mean([r[:, i : i + n, i : i + n] for i in range(shifts)], axis=0)
+        return forward_backward(r) if self.options.forward_backward else r
 
     def _factor(self, r: Complex, slots: Slots | None, snapshots: Floats) -> Complex:
         """The method's factor X of covariances r (U, N, N); without `slots` no subspace is tracked."""

@@ -43,6 +43,10 @@ def misfits(options: Options, array: ArrayGeometry) -> Iterator[tuple[str, str]]
             f'must be "none", "isq" or "lr": {options.rho} takes delays for distances, and those of this '
             "capture are of packet detection",
         )
+    if options.smoothing < 1:
+        for name, method, row in (("theta", options.theta, antennas), ("rho", options.rho, tones)):
+            if method in SPECTRAL[1:] and not row.dense and (name == "rho" or array.is_uniform):
+                yield "smoothing", f"must be 1: the elements of the {name} axis leave gaps"
     axes = ((options.theta, antennas.size), (options.rho, tones.size))
     least = min((size for method, size in axes if method in ("music", "minnorm")), default=None)
     order = options.signal_order

@@ -43,8 +43,8 @@ class Options(Settings):
     forward_backward: bool = False
     """Average each covariance with its conjugate mirror image."""
     smoothing: float = Field(1.0, ge=0.5, le=1)
-    """Sub-arrays that span so much of rows and columns are averaged, for coherent echoes; 1: none. Not for
-    Bartlett, which does not mind them."""
+    """Sub-arrays that span so much of a line, of a board's rows and columns and of the band are averaged, for
+    coherent echoes; 1: none. Not for Bartlett, which does not mind them."""
     elevation: bool = True
     """Look for azimuth and elevation; false: for azimuth alone, all UEs being at the array's own height."""
     loading: float = Field(0.3, ge=0)

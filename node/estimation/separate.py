@@ -68,7 +68,7 @@ class SeparateLocator(Locator):
             if self._level is None:
                 self._power = self.children["power"] = Bank((), np.float64, options.decay)
             else:
-                self._floor = NoiseFloor(self._level.manifold.lattice)
+                self._floor = NoiseFloor(self._level.whole.lattice)
         elif options.rho != NONE:
             self._rho = SpectralAxis("rho", options.rho, delay, options.rho_step_m, antennas, options)
             self._takers["rho"] = self._rho
@@ -151,7 +151,7 @@ class SeparateLocator(Locator):
         lags = level.mean_lags(group.slots, weight)
         snapshots = frames * level.snapshots
         noise = self._floor.power(lags, snapshots)
-        return np.maximum(lags[:, 0].real - noise, noise / np.sqrt(level.manifold.size * snapshots))
+        return np.maximum(lags[:, 0].real - noise, noise / np.sqrt(level.whole.size * snapshots))
 
     def spectrum(self, slot: int, points: int) -> dict[str, Any] | None:
         """theta_grid_rad and theta_spectrum, and the same of rho, where a spectral method gives them."""

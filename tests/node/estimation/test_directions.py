@@ -384,3 +384,28 @@ def test_steps_on_the_sphere() -> None:
     np.testing.assert_allclose(np.einsum("ikx,kx->ki", e, d), 0, atol=1e-12)
     step = np.full((2, len(d)), 0.1)
     np.testing.assert_allclose((moved(d, e, step) * d).sum(1), np.cos(0.1 * np.sqrt(2)))
+
+
+def test_smoothing_on_a_line_and_over_the_band() -> None:
+    """One frame of two coherent paths: MVDR sees neither without smoothing, and both directions with it."""
+    array = ArrayGeometry("line", 16, 16, 2e9, 1e6, SPEED_OF_LIGHT / 2e9 / 2)
+    theta, rho = np.array([1.2, 1.9]), np.array([60.0, 130.0])
+    n, t = np.arange(16), np.arange(16)
+    waves = [
+        np.exp(1j * (array.theta_phase * np.cos(a) * n[:, None] + array.rho_phase * r * t))
+        for a, r in zip(theta, rho, strict=True)
+    ]
+    noise = np.random.default_rng(0).standard_normal((1, 16, 32)).view(np.complex128)
+    csi = (waves[0] + 0.8j * waves[1] + 0.01 * noise).astype(np.complex64)
+    off = {}
+    for smoothing in (1.0, 0.6):
+        estimator = ChartEstimator(array, theta="mvdr", rho="mvdr", smoothing=smoothing, loading=1e-3)
+        chart = estimator.update(csi, ue=[1])
+        off[smoothing] = abs(chart.theta[0] - theta[0]), abs(chart.rho[0] - rho[0])
+    assert off[0.6][0] < 0.02
+    assert off[0.6][1] < 3
+    levels = ChartEstimator(array, theta="music", rho="isq", smoothing=0.6)
+    assert np.isfinite(levels.update(csi, ue=[1]).rho).all()
+    gaps = ArrayGeometry.from_dict({**array.as_dict(), "dead_antennas": [3]})
+    with pytest.raises(ValueError, match="smoothing must be 1"):
+        ChartEstimator(gaps, theta="mvdr", smoothing=0.6)
