@@ -114,7 +114,7 @@ def run(arguments: argparse.Namespace) -> int:
                 "degrees (import them again with --position-unit deg)"
             )
         figures |= _one_coordinate_each(told, reader.array)
-        if "none" in (estimator.method.theta, estimator.method.rho):
+        if "none" in (estimator.method.theta, estimator.method.rho) and "z" not in told.columns:
             remark = "one coordinate alone is no place: only its own error counts"
         elif len(known) >= FEWEST_UES:
             try:

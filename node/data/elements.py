@@ -58,6 +58,25 @@ def check(elements: Any, count: int, least_m: float) -> None:
         raise ValueError("elements must be in different places; they are in metres")
 
 
+def check_shape(array: Any, sees: tuple[Any, ...], shares: tuple[Any, ...]) -> None:
+    """Do an `ArrayGeometry`'s elements, pattern, view and clock fit each other?
+
+    Raises
+    ------
+    ValueError
+        If not.
+    """
+    if array.elements is not None:
+        check(array.elements, array.antennas, 1e-3 * array.wavelength_m)
+    for name, known in (("sees", sees), ("clock_shares", shares)):
+        if (value := getattr(array, name)) not in known:
+            raise ValueError(f"{name} must be one of {', '.join(str(k) for k in known if k)}, not {value!r}")
+    if array.pattern is not None and array.pattern.elements != array.antennas:
+        raise ValueError(f"the pattern is of {array.pattern.elements} elements, not {array.antennas}")
+    if array.clock is not None and (type(array.clock) is not str or not array.clock):
+        raise ValueError(f"clock must be a name, not {array.clock!r}")
+
+
 def first_of_line(
     elements: Floats,
     position_m: tuple[float, ...] = (0.0, 0.0, 0.0),

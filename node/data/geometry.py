@@ -18,7 +18,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import pairwise
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,7 @@ MOST_TONE = 1 << 20
 
 FloatArray = NDArray[np.float64]
 ClockShares = Literal["time", "frequency"]
+SEES, CLOCK_SHARES = (None, *get_args(Sees)), get_args(ClockShares)
 
 _LATER: Final = (
     "tones",
@@ -169,20 +170,7 @@ class ArrayGeometry(Pose):
                 raise ValueError(f"{name} must leave one that counts, not name all {size}")
 
     def _check_elements(self) -> None:
-        if self.elements is not None:
-            layouts.check(self.elements, self.antennas, 1e-3 * self.wavelength_m)
-        for name, value, known in (
-            ("sees", self.sees, (None, "front", "below", "above", "all")),
-            ("clock_shares", self.clock_shares, ("time", "frequency")),
-        ):
-            if value not in known:
-                raise ValueError(
-                    f"{name} must be one of {', '.join(str(k) for k in known if k)}, not {value!r}"
-                )
-        if self.pattern is not None and self.pattern.elements != self.antennas:
-            raise ValueError(f"the pattern is of {self.pattern.elements} elements, not {self.antennas}")
-        if self.clock is not None and (type(self.clock) is not str or not self.clock):
-            raise ValueError(f"clock must be a name, not {self.clock!r}")
+        layouts.check_shape(self, SEES, CLOCK_SHARES)
 
     @property
     def theta_phase(self) -> float:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.covariance import Grouping, Weights
 from chachart.node.estimation.direct_path import DirectPath
+from chachart.node.estimation.directions.direct_path import DirectionPath
 from chachart.node.estimation.locator import Columns, Features, Locator
 from chachart.node.estimation.options import Options
 from chachart.node.estimation.periodogram import CoherentSums, Csi, PowerSums, SpectrumState, energy
@@ -34,6 +35,7 @@ class JointLocator(Locator):
     BY_SLOT = ("_random",)
 
     def __init__(self, array: ArrayGeometry, options: Options) -> None:
+        self._array, self._options = array, options
         self._direct_path = DirectPath(array, options.rho_max_m, options.echoes)
         periodogram = self._direct_path.periodogram
         self._weights = Weights(options.decay)
@@ -71,7 +73,10 @@ class JointLocator(Locator):
         return at | {"snapshots": frames}
 
     def spectrum(self, slot: int, points: int) -> dict[str, Any] | None:
-        """theta_grid_rad, theta_spectrum, rho_grid_m, rho_spectrum: the maxima along the other axis."""
+        """theta_grid_rad, theta_spectrum, rho_grid_m, rho_spectrum: the maxima along the other axis.
+
+        Where frames keep their phase there are the strongest paths, too, see `DirectionPath.apart`.
+        """
         slots = np.array([slot])
         if self._weights.of(slots)[1][0] == 0:
             return None
@@ -82,12 +87,18 @@ class JointLocator(Locator):
             state.spectra(slots)[0][0], angle.u(theta), -delay.u(rho)
         )
         power /= power.max()
-        return {
+        found = self._apart(slots) if state is self._sums else {}
+        return found | {
             "theta_grid_rad": theta,
             "theta_spectrum": power.max(axis=1),
             "rho_grid_m": rho,
             "rho_spectrum": power.max(axis=0),
         }
+
+    def _apart(self, slots: Slots) -> dict[str, Any]:
+        """The strongest paths of one UE."""
+        model = DirectionPath(self._array, self._options.rho_max_m, paths=self._options.paths)
+        return model.apart(self._sums.bank.rows[slots], np.ones(1))
 
     def _add(self, group: Grouping, csi: Csi) -> NDArray[np.bool_]:
         """Take a block's frames; which UEs (U,) are to be located by their power spectra."""

@@ -68,7 +68,8 @@ class Options(Settings):
     phase: Phase = "auto"
     """Of a UE's channel from frame to frame, for `joint`: `steady` averages frames, `random` their powers."""
     paths: int = Field(2, ge=1, le=8)
-    """With `joint` and an array that is no line: so many paths are told apart where there are echoes."""
+    """With `joint`: so many paths are told apart in a UE's spectrum, and, unless the array is a line, in its
+    place where there are echoes."""
     echoes: bool = True
     """Deviations allow for echoes that cannot be told from the path, as in cities; false: for noise alone."""
     delay: Delay = "absolute"

@@ -19,8 +19,9 @@ from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import SPEED_OF_LIGHT, ArrayGeometry
 from chachart.node.data.methods import RhoMethod, ThetaMethod
 from chachart.node.estimation.bounds import information_scale
+from chachart.node.estimation.directions.algebra import inverse
 from chachart.node.estimation.directions.axis import manifold_of
-from chachart.node.estimation.directions.manifold import compass, inverse
+from chachart.node.estimation.directions.manifold import compass
 from chachart.node.estimation.directions.sphere import unit
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.options import JOINT, SPECTRAL

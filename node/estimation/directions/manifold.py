@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from chachart.node.data.elements import mirror
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.estimation.directions.algebra import congruent, inverse, newton_step, packed
 from chachart.node.estimation.directions.sphere import moved, tangents
 
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -272,7 +273,7 @@ class DirectionManifold(ABC):
         across = np.einsum("kie,ke->ki", b.conj(), s)
         plain = np.einsum("kie,kje->kij", b.conj(), b).real
         noise = plain - (across[:, :, None] * across[:, None].conj()).real
-        first, second = (_packed(m) for m in (plain, noise))
+        first, second = (packed(m) for m in (plain, noise))
         return congruent(first, inverse(second))
 
     def information(self, d: Floats, e: Floats) -> Floats:
@@ -282,7 +283,7 @@ class DirectionManifold(ABC):
             slopes = (
                 a[:, 1:] - np.einsum("kin,kn->ki", a[:, 1:], a[:, 0].conj() / self.size)[..., None] * a[:, :1]
             )
-            return _packed(np.einsum("kin,kjn->kij", slopes.conj(), slopes).real)
+            return packed(np.einsum("kin,kjn->kij", slopes.conj(), slopes).real)
         p = e @ self._scatter
         return np.stack([(p[0] * e[0]).sum(1), (p[0] * e[1]).sum(1), (p[1] * e[1]).sum(1)])
 
@@ -326,38 +327,3 @@ def _wide(variance: Floats, slope: Floats) -> Floats:
     """Deviation of an angle whose arc has `variance` and shrinks by `slope`, bounded by its own spread."""
     arc = np.sqrt(variance)
     return np.minimum(arc / np.maximum(slope, np.sqrt(arc)), np.pi)
-
-
-def _packed(m: Floats) -> Floats:
-    return np.stack([m[:, 0, 0], m[:, 0, 1], m[:, 1, 1]])
-
-
-def newton_step(slope: Floats, bend: Floats, limit: float) -> Floats:
-    """The step (2, K) to a minimum; downhill where the curvature (3, K) is not positive; at most `limit`."""
-    a, b, c = bend
-    det = a * c - b * b
-    sound = (a > 0) & (det > 0)
-    det = np.where(sound, det, 1)
-    newton = np.stack([(b * slope[1] - c * slope[0]) / det, (b * slope[0] - a * slope[1]) / det])
-    size = np.hypot(*slope)
-    downhill = -slope * (limit / np.maximum(size, 1e-300))
-    step = np.where(sound, newton, downhill)
-    shrink = np.minimum(limit / np.maximum(np.hypot(*step), 1e-300), 1)
-    shrunk: Floats = step * shrink
-    return shrunk
-
-
-def inverse(m: Floats) -> Floats:
-    """Of symmetric 2 x 2 matrices (3, K: 11, 12, 22)."""
-    a, b, c = m
-    det = np.maximum(a * c - b * b, 1e-300)
-    inverted: Floats = np.stack([c, -b, a]) / det
-    return inverted
-
-
-def congruent(c: Floats, m: Floats) -> Floats:
-    """C M C of symmetric 2 x 2 matrices (3, K: 11, 12, 22)."""
-    (c0, c1, c2), (m0, m1, m2) = c, m
-    x0, x1 = m0 * c0 + m1 * c1, m0 * c1 + m1 * c2
-    y0, y1 = m1 * c0 + m2 * c1, m1 * c1 + m2 * c2
-    return np.stack([c0 * x0 + c1 * y0, c0 * x1 + c1 * y1, c1 * x1 + c2 * y1])

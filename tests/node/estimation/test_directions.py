@@ -12,10 +12,11 @@ from chachart.node.data.elements import circle, grid
 from chachart.node.data.geometry import SPEED_OF_LIGHT, ArrayGeometry
 from chachart.node.estimation import spectra
 from chachart.node.estimation.bounds import information_scale
+from chachart.node.estimation.directions.algebra import inverse
 from chachart.node.estimation.directions.axis import manifold_of, sub_arrays
 from chachart.node.estimation.directions.board import BoardManifold
 from chachart.node.estimation.directions.free import FreeManifold, RingManifold
-from chachart.node.estimation.directions.manifold import DirectionManifold, compass, inverse
+from chachart.node.estimation.directions.manifold import DirectionManifold, compass
 from chachart.node.estimation.directions.sphere import fibonacci, moved, tangents, unit
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.subspace import dominant
@@ -409,3 +410,21 @@ def test_smoothing_on_a_line_and_over_the_band() -> None:
     gaps = ArrayGeometry.from_dict({**array.as_dict(), "dead_antennas": [3]})
     with pytest.raises(ValueError, match="smoothing must be 1"):
         ChartEstimator(gaps, theta="mvdr", smoothing=0.6)
+
+
+def test_a_line_tells_its_strongest_paths_too() -> None:
+    array = ArrayGeometry("line", 16, 32, 2e9, 1e6, SPEED_OF_LIGHT / 2e9 / 2)
+    theta, rho = np.array([1.2, 1.9]), np.array([60.0, 80.0])
+    turn = array.theta_phase * array.middle_hz / array.carrier_hz
+    n, t = np.arange(16)[:, None], np.arange(32)
+    first, second = (
+        np.exp(1j * (turn * np.cos(a) * n + array.rho_phase * r * t)) for a, r in zip(theta, rho, strict=True)
+    )
+    noise = np.random.default_rng(0).standard_normal((1, 16, 64)).view(np.complex128)
+    estimator = ChartEstimator(array, theta="joint", rho="joint")
+    estimator.update((first + 0.5j * second + 0.01 * noise).astype(np.complex64), ue=[1])
+    spectrum = estimator.spectrum(1)
+    assert spectrum is not None
+    np.testing.assert_allclose(spectrum["path_theta"], theta, atol=0.01)
+    np.testing.assert_allclose(spectrum["path_rho_m"], rho, atol=0.5)
+    np.testing.assert_allclose(spectrum["path_power_db"], [0, -6.02], atol=0.3)
