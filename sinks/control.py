@@ -8,6 +8,7 @@ Once a token is set, requests must carry it as `"token"`; where keys are needed,
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
@@ -29,6 +30,7 @@ from chachart.sinks.plain import encoded, plain
 MAX_REQUEST_BYTES = 16 * 1024
 REQUESTS_A_TICK = 16
 BURST_S = 5.0
+_UNPACK = {"max_array_len": 64, "max_map_len": 64, "max_ext_len": 0}
 
 
 class ControlSettings(SinkSettings):
@@ -141,7 +143,7 @@ class Control(Sink):
         try:
             request = _decode(parts)
             role = self._admit(parts[0], request.pop("token", None))
-            return encode({"ok": True, "result": self._operations.perform(request, role)})
+            return self._operations.reply(request, role, _json_result if encode is _json else _msgpack_result)
         except RequestError as error:
             return encode({"ok": False, "error": str(error)})
 
@@ -174,7 +176,7 @@ def _decode(parts: list[zmq.Frame]) -> dict[str, Any]:
         raise RequestError(f"a request is one message part, not {len(parts)}")
     body = parts[0].bytes
     try:
-        request = json.loads(body) if body[:1] == b"{" else msgpack.unpackb(body)
+        request = json.loads(body) if body[:1] == b"{" else msgpack.unpackb(body, **_UNPACK)
     except (ValueError, TypeError, RecursionError, msgpack.exceptions.UnpackException) as error:
         raise RequestError(f"a request is a map in msgpack or JSON: {error}"[:200]) from None
     if not isinstance(request, dict) or not all(isinstance(key, str) for key in request):
@@ -182,9 +184,17 @@ def _decode(parts: list[zmq.Frame]) -> dict[str, Any]:
     return request
 
 
-def _json(reply: dict[str, Any]) -> bytes:
+def _json(reply: Mapping[str, Any]) -> bytes:
     return encoded(reply)
 
 
-def _msgpack(reply: dict[str, Any]) -> bytes:
+def _json_result(result: Mapping[str, Any]) -> bytes:
+    return _json({"ok": True, "result": result})
+
+
+def _msgpack_result(result: Mapping[str, Any]) -> bytes:
+    return _msgpack({"ok": True, "result": result})
+
+
+def _msgpack(reply: Mapping[str, Any]) -> bytes:
     return bytes(msgpack.packb(plain(reply)))

@@ -27,7 +27,7 @@ def free_name(pattern: Path) -> Path:
     """
     path = first = file_name(pattern)
     number = 1
-    while path.exists():
+    while os.path.lexists(path):
         number += 1
         if number > MOST_FILES:
             raise SetupError(f"{first} and {MOST_FILES - 1} numbered files beside it exist already")

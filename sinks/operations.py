@@ -17,7 +17,9 @@ not fit gets a `RequestError` in one line and changes nothing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import threading
+import time
+from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -111,6 +113,9 @@ _REQUESTS: TypeAdapter[_Request] = TypeAdapter(Annotated[_Request, Field(discrim
 
 READING = ("status", "ues", "chart", "spectrum", "antennas", "recordings")
 """Operations that change nothing."""
+WHOLE = ({"op": "ues"}, {"op": "chart"})
+"""Requests whose answer is as long as the chart."""
+WHOLE_EVERY_S = 1.0
 CHANGING = ("set_method", "replay", "start_recording", "stop_recording", "method", "record")
 """Operations that change what the node does, under their newer and older names."""
 
@@ -128,8 +133,30 @@ class Operations:
 
     def __init__(self, node: NodeAccess, folder: Path) -> None:
         self._node = node
+        self._kept: dict[tuple[Any, Any], tuple[float, bytes]] = {}
+        self._lock = threading.Lock()
         self._folder = folder
         self.recordings = Recordings(folder)
+
+    def reply(
+        self, request: Mapping[str, Any], role: Role, encode: Callable[[Mapping[str, Any]], bytes]
+    ) -> bytes:
+        """As `perform`, encoded; what is about the whole chart is put together once a second at most.
+
+        Raises
+        ------
+        RequestError
+            As `perform`.
+        """
+        if request not in WHOLE:
+            return encode(self.perform(request, role))
+        key = (request["op"], encode)
+        with self._lock:
+            until, body = self._kept.get(key, (0.0, b""))
+            if time.monotonic() >= until:
+                body = encode(self.perform(request, role))
+                self._kept[key] = time.monotonic() + WHOLE_EVERY_S, body
+            return body
 
     def perform(self, request: Mapping[str, Any], role: Role = Role.STEERER) -> Mapping[str, Any]:
         """Carry out `{"op": ..., arguments ...}`; the answer may hold arrays. May block for seconds.

@@ -29,6 +29,7 @@ from chachart.node.data.errors import EX_CONFIG, SetupError
 from chachart.node.data.version import build
 from chachart.node.files.recording import RecordingReader
 from chachart.node.runtime import logs
+from chachart.node.runtime.descriptors import raise_limit
 from chachart.node.runtime.node import Node
 from chachart.node.runtime.panel import line, panel, summary_lines
 from chachart.node.runtime.plan import Plan, check
@@ -168,6 +169,7 @@ def _run(plan: Plan, options: argparse.Namespace) -> int:
             RichHandler(console=console, show_path=False, log_time_format="[%H:%M:%S]"),
         )
     sys.setswitchinterval(SWITCH_INTERVAL_S)
+    raise_limit()
     node = Node(plan, logging.getLevelNamesMapping()[options.log_level])
     signals = _Signals(node)
     log.info("chachart %s", build())

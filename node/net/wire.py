@@ -21,6 +21,8 @@ from chachart.node.data.csi import CsiBlock
 VERSION = 1
 MAX_HEADER_BYTES = 4 * 1024 * 1024
 MAX_CSI_BYTES = 256 * 1024 * 1024
+_UNPACK = {"csi": {"max_array_len": 64, "max_map_len": 64, "max_ext_len": 0}}
+"""What strangers send: room for a list is made before its items come, once for each level of nesting."""
 MAX_NAME = 128
 
 Buffer = bytes | bytearray | memoryview
@@ -223,7 +225,7 @@ def _unpack(body: Buffer, kind: str, limit: int = MAX_HEADER_BYTES) -> dict[str,
     if memoryview(body).nbytes > limit:
         raise WireError("size", f"{memoryview(body).nbytes} bytes of msgpack, at most {limit} are read")
     try:
-        message = msgpack.unpackb(body)
+        message = msgpack.unpackb(body, **_UNPACK.get(kind, {}))
     except (ValueError, TypeError, RecursionError, msgpack.exceptions.UnpackException) as error:
         raise WireError("header", f"not msgpack: {error}") from None
     if not isinstance(message, dict):

@@ -87,7 +87,11 @@ class SupervisedChild:
         if self._most_deaths is not None and len(self._deaths) >= self._most_deaths:
             return f"{self.name} died {len(self._deaths)} times within a minute"
         if self.child is None and now >= self._start_at:
-            self.child, self._started, self._up = self._start(), now, False
+            try:
+                self.child, self._started, self._up = self._start(), now, False
+            except (OSError, MemoryError) as error:  # no descriptor, no memory or no process left just now
+                self._start_at = now + LONGEST_DELAY_S
+                log.error("%s cannot be started now, but soon again: %s", self.name, error)
         return None
 
     def is_up(self) -> None:

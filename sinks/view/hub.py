@@ -7,7 +7,9 @@ falls further behind gets the whole chart once it listens again. Frames are enco
 from __future__ import annotations
 
 import asyncio
+import math
 import threading
+import time
 from collections import deque
 from typing import Any
 
@@ -22,6 +24,8 @@ from chachart.sinks.view.history import History
 
 FRAMES_WAITING = 4
 UPDATES_WAITING = 64
+WHOLE_EVERY_S = 1.0
+"""Nobody gets the whole chart more often."""
 REPORTS_KEPT = 720
 
 
@@ -31,6 +35,7 @@ class Viewer:
     def __init__(self) -> None:
         self.flowing = True
         self._whole = True
+        self._whole_at = -math.inf
         self._frames: deque[bytes] = deque()
         self._texts: dict[str, str] = {}
         self._wake = asyncio.Event()
@@ -62,6 +67,12 @@ class Viewer:
         self._frames.append(frame)
         self._wake.set()
 
+    def until_next_whole(self) -> float:
+        """How long to wait (s) before it gets anything as long as the chart again; that is counted as had."""
+        now = time.monotonic()
+        self._whole_at = max(now, self._whole_at + WHOLE_EVERY_S)
+        return self._whole_at - now
+
     def flow(self, on: bool) -> None:
         """Let charts flow, or stop them."""
         if on and not self.flowing:
@@ -82,6 +93,7 @@ class Viewer:
             while self._texts:
                 await connection.send(self._texts.pop(next(iter(self._texts))))
             if self._whole and self.flowing:
+                await asyncio.sleep(self.until_next_whole())
                 self._whole = False
                 whole = await hub.whole()
                 if whole is None:

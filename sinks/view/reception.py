@@ -21,8 +21,9 @@ from websockets.exceptions import ConnectionClosed
 from chachart.node.data.errors import RequestError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.methods import RhoMethod, ThetaMethod
+from chachart.node.net.limits import RateLimit
 from chachart.node.net.security import Role
-from chachart.sinks.operations import Operations
+from chachart.sinks.operations import WHOLE, Operations
 from chachart.sinks.plain import encoded
 from chachart.sinks.view.curve import CurveKeeper
 from chachart.sinks.view.frames import describe, encode_frame
@@ -30,6 +31,8 @@ from chachart.sinks.view.hub import Hub, Viewer
 from chachart.sinks.view.plan import FloorPlan
 from chachart.sinks.web.connection import WebConnection
 
+REQUESTS_PER_S, REQUESTS_AT_ONCE = 20.0, 100
+"""What a viewer may ask; one who asks more waits."""
 TRY_AGAIN = 1013
 """Close code for a viewer too many."""
 
@@ -70,6 +73,7 @@ class Reception:
         self._page_id = page_id
         self._plan = plan
         self._told = told
+        self._pace = RateLimit(REQUESTS_PER_S, REQUESTS_AT_ONCE)
 
     async def welcome(self, connection: WebConnection) -> None:
         """One viewer, from coming to going."""
@@ -82,6 +86,8 @@ class Reception:
         sender = asyncio.create_task(viewer.run(connection, self._hub))
         try:
             async for message in connection:
+                await asyncio.sleep(self._pace.wait_s(viewer))
+                self._pace.take(viewer)
                 await connection.send(await self._hear(viewer, message, connection.role))
         except ConnectionClosed:
             return
@@ -137,6 +143,8 @@ class Reception:
         if asked.get("op") == "stream" and type(asked.get("on")) is bool:
             viewer.flow(asked["on"])
             return {}
+        if asked in WHOLE:
+            await asyncio.sleep(viewer.until_next_whole())
         return await asyncio.to_thread(self._operations.perform, asked, role)
 
     def _look_back(self, viewer: Viewer, ago_s: Any) -> dict[str, Any]:

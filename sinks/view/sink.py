@@ -24,6 +24,7 @@ from pydantic import Field
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.net.security import Role
 from chachart.sinks.base import NodeAccess, SinkSettings
 from chachart.sinks.operations import CHANGING, READING, Operations
 from chachart.sinks.plain import encoded
@@ -151,7 +152,7 @@ def _download(operations: Operations, query: Query) -> Answer:
 def _control_routes(operations: Operations) -> dict[str, Route]:
     def control(op: str) -> Route:
         def answer(query: Query) -> Answer:
-            return Answer(encoded(operations.perform({**query, "op": op})), JSON)
+            return Answer(operations.reply({**query, "op": op}, Role.STEERER, encoded), JSON)
 
         return answer
 

@@ -27,6 +27,8 @@ _OFFSETS = (0, 512, 1024, 2048)
 _MATLAB = b"MATLAB 7.3 MAT-file"
 _PAIRS = ({"real", "imag"}, {"real", "imaginary"}, {"r", "i"}, {"re", "im"})
 _DAMAGE = (OSError, RuntimeError, ValueError, KeyError, TypeError, AttributeError, MemoryError)
+_FILTERS = (1, 2, 3, 4, 5, 6, 32000)
+"""Those that come with HDF5 and h5py: deflate, shuffle, checksum, szip, n-bit, scale-offset, lzf."""
 _DENSEST = 1100
 """Deflate makes nothing smaller than this; a file that claims more is not to be believed."""
 
@@ -99,7 +101,19 @@ def _datasets(group: h5py.Group, prefix: str = "") -> Iterator[tuple[str, h5py.D
             yield from _datasets(item, f"{prefix}{name}/")
 
 
+def _check_storage(dataset: h5py.Dataset) -> None:
+    """Nothing outside the file is read, and no filter that a plug-in would have to bring is run."""
+    if dataset.external or dataset.is_virtual:
+        raise SetupError(f"{dataset.file.filename}: {dataset.name} keeps its data in other files")
+    plan = dataset.id.get_create_plist()
+    for number in range(plan.get_nfilters()):
+        kind = plan.get_filter(number)[0]
+        if kind not in _FILTERS:
+            raise SetupError(f"{dataset.file.filename}: {dataset.name} is packed by filter {kind}")
+
+
 def _describe(dataset: h5py.Dataset, matlab: bool, size: int) -> Variable:
+    _check_storage(dataset)
     if dataset.nbytes > _DENSEST * size:
         raise ValueError(f"dataset {dataset.name} claims {dataset.nbytes} bytes in a file of {size}")
     shape = tuple(dataset.shape or ())

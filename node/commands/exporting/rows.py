@@ -97,7 +97,12 @@ class Table:
     @staticmethod
     def _words(chart: ChartUpdate) -> dict[str, list[str]]:
         words = {"array": chart.array, "theta_method": chart.method.theta, "rho_method": chart.method.rho}
-        return {name: [word] * len(chart) for name, word in words.items()}
+        return {name: [_harmless(word)] * len(chart) for name, word in words.items()}
+
+
+def _harmless(word: str) -> str:
+    """The word, quoted where a spreadsheet would take it for a formula."""
+    return f"'{word}" if word.startswith(("=", "+", "-", "@", "\t", "\r")) else word
 
 
 def write_csv(path: Path, charts: Iterable[ChartUpdate], table: Table, place: Place | None = None) -> int:

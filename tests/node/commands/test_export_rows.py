@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chart_logs import near_truth, plotted_array, write_chart_log, write_recording
+from chart_samples import some_chart
+from csi_samples import small_array
 from pyarrow import parquet
 
-from chachart.node.commands.exporting.rows import Place
+from chachart.node.commands.exporting.rows import Place, Table
 from chachart.node.commands.main import main
 from chachart.node.data.errors import SetupError
 
@@ -114,3 +116,11 @@ def test_what_cannot_be(
     assert words in said
     assert len(said.splitlines()) == 1
     assert sorted(p.name for p in log.parent.iterdir()) == ["log.mcap", "r.mcap"]
+
+
+@pytest.mark.parametrize("name", ["=cmd", "+1", "-lab", "@sum", "lab"])
+def test_no_cell_is_a_formula(name: str) -> None:
+    chart = some_chart(2, array=name)
+    table = Table(("ue",), small_array())
+    [first, _] = table.rows(chart)
+    assert first[1] == (name if name == "lab" else f"'{name}")

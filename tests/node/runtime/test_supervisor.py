@@ -92,3 +92,25 @@ def test_one_that_dies_again_and_again_is_given_up(make: Callable[..., Supervise
         supervised.kill()
         reason = check_until(supervised, lambda _, n=deaths: supervised.restarts == n)  # type: ignore[misc]
     assert reason == "worker 0 died 3 times within a minute"
+
+
+def test_one_that_cannot_be_started_just_now_is_tried_again(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """No descriptor left, for instance: the node goes on, and the child is there as soon as there is one."""
+    monkeypatch.setattr(supervisor, "LONGEST_DELAY_S", 0.0)
+    failures = [OSError(24, "Too many open files"), MemoryError(), None]
+
+    def start() -> Child:
+        if (failure := failures.pop(0)) is not None:
+            raise failure
+        return Child("worker 0", "this", SETTINGS)
+
+    one = SupervisedChild("worker 0", start, lambda pid: None)
+    for _ in range(3):
+        assert one.child is None
+        assert one.check() is None
+    assert one.child is not None
+    assert "Too many open files" in caplog.text
+    one.kill()
+    one.child.close(DEADLINE_S)
