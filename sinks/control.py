@@ -141,7 +141,7 @@ class Control(Sink):
         body = parts[0].bytes
         encode = _json if body[:1] == b"{" else _msgpack
         try:
-            request = _decode(parts)
+            request = decode_request(parts)
             role = self._admit(parts[0], request.pop("token", None))
             return self._operations.reply(request, role, _json_result if encode is _json else _msgpack_result)
         except RequestError as error:
@@ -171,7 +171,14 @@ class Control(Sink):
         return RequestError(reason)
 
 
-def _decode(parts: list[zmq.Frame]) -> dict[str, Any]:
+def decode_request(parts: list[zmq.Frame]) -> dict[str, Any]:
+    """The map that a request holds.
+
+    Raises
+    ------
+    RequestError
+        If it is none.
+    """
     if len(parts) != 1:
         raise RequestError(f"a request is one message part, not {len(parts)}")
     body = parts[0].bytes

@@ -20,6 +20,7 @@ BENCHMARKS = {
     "quality": "trustworthiness and continuity, exact and sampled, beside scikit-learn",
     "frontends": "packet decoders, and whole serial and CAN links, with damage and without",
     "formats": "captures of Wi-Fi tools: read and decoded, megabytes a second",
+    "attack": "mutated inputs to every decoder, floods on every socket of a running node",
     "damage": "mutated captures of every format: frames or a clean error, whatever the bytes",
     "flow": "recordings, the wire and the sinks by themselves",
     "scale": "more UEs, antennas and subcarriers: time a frame and memory",

@@ -17,7 +17,7 @@ from live_node import LiveNode, until
 
 from chachart.node.commands.main import main
 from chachart.node.data.errors import EX_CONFIG, RequestError
-from chachart.sinks.control import _decode
+from chachart.sinks.control import decode_request
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.text(),
@@ -83,7 +83,7 @@ def test_bad_requests_get_an_error_and_the_next_good_one_its_answer(node: LiveNo
 @given(st.binary(max_size=200) | JSON.map(json.dumps).map(str.encode) | JSON.map(msgpack.packb))
 def test_whatever_comes_is_a_map_or_an_error(message: bytes) -> None:
     with suppress(RequestError):
-        assert all(isinstance(key, str) for key in _decode([zmq.Frame(message)]))
+        assert all(isinstance(key, str) for key in decode_request([zmq.Frame(message)]))
 
 
 def test_ctl_shows_the_node(node: LiveNode, capsys: pytest.CaptureFixture[str]) -> None:
