@@ -146,6 +146,7 @@ class WebServer:
 
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
+        self._loop.set_exception_handler(self._on_trouble)
         self._stopping = asyncio.Event()
         try:
             server = await self._listen()
@@ -164,6 +165,13 @@ class WebServer:
             beside.cancel()
         server.close()
         await server.wait_closed()
+
+    def _on_trouble(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Without a descriptor for a connection asyncio tries again in a second, and says so each time."""
+        if "out of system resource" in context.get("message", ""):
+            self.refusals.add("no_descriptor_left")
+        else:
+            loop.default_exception_handler(context)
 
     async def _listen(self) -> Server:
         """On the first port that can be had."""

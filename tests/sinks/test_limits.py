@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,8 @@ import pytest
 import zmq
 from chart_samples import StillNode, some_chart
 from csi_samples import small_array, some_block
+from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosed
 
 from chachart.node.data.errors import RequestError
 from chachart.node.files.recording import RecordingWriter
@@ -20,6 +24,8 @@ from chachart.sinks.control import Control, ControlSettings
 from chachart.sinks.operations import CHANGING, READING, Operations
 from chachart.sinks.recorder import Recorder, RecorderSettings
 from chachart.sinks.recordings import Recordings
+from chachart.sinks.view.sink import View, ViewSettings
+from chachart.sinks.web.server import MAX_MESSAGE_BYTES
 
 
 class CountingNode(StillNode):
@@ -93,3 +99,22 @@ def test_a_flood_of_requests_is_told_to_wait() -> None:
     assert "too many requests" in replies[-1]["error"]
     assert sink.refused.as_dict()["too_many_requests"] >= 2
     sink.close()
+
+
+def test_nobody_sends_more_by_packing_it(tmp_path: Path) -> None:
+    """Nothing is unpacked, so a kilobyte cannot become a gigabyte; long messages end the connection."""
+    view = View(ViewSettings(port=0, record_folder=tmp_path), small_array())
+    view.open(StillNode(some_chart()))  # type: ignore[arg-type]
+    where = (view.where() or "").replace("http", "ws")
+
+    async def send() -> int | None:
+        async with connect(f"{where}ws", compression="deflate") as viewer:
+            assert viewer.protocol.extensions == []
+            with suppress(ConnectionClosed):
+                await viewer.send("x" * (MAX_MESSAGE_BYTES + 1))
+                async for _ in viewer:
+                    pass
+            return viewer.close_code
+
+    assert asyncio.run(send()) == 1009
+    view.close()
