@@ -124,12 +124,12 @@ class KeyRing:
 
     def __init__(self, folder: Path, rights: tuple[Right, ...]) -> None:
         self._folders = [(right, folder / right) for right in rights]
-        self._stamp: list[int] = []
+        self._stamp: list[tuple[str, int, int]] = []
         self._names: dict[bytes, tuple[Right, str]] = {}
 
     def who(self, public: bytes) -> tuple[Right, str] | None:
         """Right and name of whoever has this key (Z85), or None."""
-        stamp = [folder.stat().st_mtime_ns if folder.is_dir() else 0 for _, folder in self._folders]
+        stamp = [_stamp(path) for _, folder in self._folders for path in folder.glob("*.key")]
         if stamp != self._stamp:
             self._names = dict(self._read())
             self._stamp = stamp
@@ -183,6 +183,15 @@ def _load(path: Path) -> tuple[bytes, bytes | None]:
     except OSError as error:
         raise SetupError(f"cannot read {path}: {error.strerror or error}") from None
     return public, secret
+
+
+def _stamp(path: Path) -> tuple[str, int, int]:
+    """Changes when the file does."""
+    try:
+        state = path.stat()
+    except OSError:
+        return str(path), 0, 0
+    return str(path), state.st_mtime_ns, state.st_ino
 
 
 def _check_name(name: str) -> None:

@@ -261,7 +261,12 @@ def test_keys_from_the_command_line(
     secret = KeyPair.load(Path("ana.key_secret"))
     assert secret.public == load_public(Path("ana.key"))
     assert secret.secret.decode() not in repr(secret)
-    assert KeyRing(Path("keys"), ("read",)).who(secret.public) == ("read", "ana")
+    ring = KeyRing(Path("keys"), ("read",))
+    assert ring.who(secret.public) == ("read", "ana")
+    assert main(["keys", "new", "ana", "--folder", "new"]) == 0
+    assert main(["keys", "allow", "new/ana.key", "--may", "read"]) == 0
+    assert ring.who(secret.public) is None, "another key of the same name goes before"
+    assert ring.who(load_public(Path("new/ana.key"))) == ("read", "ana")
 
 
 @pytest.mark.parametrize(
