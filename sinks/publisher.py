@@ -23,7 +23,9 @@ from chachart.node.net.wire import chart_topic, encode_chart, encode_report
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
 
 ROWS_PER_MESSAGE = 4096
-SUBSCRIPTIONS_PER_TICK = 1000
+SUBSCRIPTIONS_PER_TICK = 5000
+RECEIVE_MESSAGES, RECEIVE_BYTES = 16, 4096
+"""ZeroMQ takes in all that has arrived before anybody is counted: of who subscribes too much it is little."""
 MAX_SUBSCRIPTION_BYTES = 1024
 """The longest thing that a subscriber sends is its part of the handshake with keys."""
 WHOLE_EVERY_S = 1.0
@@ -95,6 +97,7 @@ class Publisher(Sink):
         self._socket.set(zmq.XPUB_MANUAL, 1)
         self._socket.xpub_verbose = True
         self._socket.sndhwm = self.settings.queue_messages
+        self._socket.rcvhwm, self._socket.rcvbuf = RECEIVE_MESSAGES, RECEIVE_BYTES
         self._socket.maxmsgsize = MAX_SUBSCRIPTION_BYTES
         self._socket.linger = LINGER_MS
         try:
