@@ -8,7 +8,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from pydantic import Field
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import EndOfSource, Source, SourceSettings
 from chachart.sources.checks import usable
@@ -138,10 +139,13 @@ class DeviceSource(Source):
 
     Attributes
     ----------
+    facts
+        What its frames' phase, delay and amplitude mean.
     simulated
         The simulated device, where the settings ask for one and the source is open.
     """
 
+    facts: ClassVar[CaptureFacts] = CaptureFacts(phase="random", delay="relative")
     settings: DeviceSettings
     simulated: SimulatedDevice | None
 
@@ -153,6 +157,11 @@ class DeviceSource(Source):
         self._next_seq = 0
         self._ended_s: float | None = None
         self.simulated = None
+
+    @classmethod
+    def carried_facts(cls, settings: Any) -> CaptureFacts:
+        """See `facts`."""
+        return cls.facts
 
     @property
     @abstractmethod

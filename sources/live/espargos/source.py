@@ -13,6 +13,7 @@ from pydantic import Field
 
 from chachart.node.data.counters import Counters
 from chachart.node.data.errors import SetupError
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.data.geometry import SPEED_OF_LIGHT
 from chachart.node.data.settings import Settings
 from chachart.sources.base import SourceSettings
@@ -91,6 +92,7 @@ class EspargosSource(DeviceSource):
     """One Wi-Fi packet that all antennas heard is a frame; its sender is the UE."""
 
     Settings: ClassVar[type[SourceSettings]] = EspargosSettings
+    facts = CaptureFacts(phase="random", delay="relative", power="agc")
     settings: EspargosSettings
 
     @classmethod

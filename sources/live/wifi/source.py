@@ -8,6 +8,7 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from chachart.node.data.counters import Counters
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.net.security import SecuritySettings
 from chachart.sources.base import SourceSettings
 from chachart.sources.live.device import (
@@ -97,6 +98,7 @@ class WifiSource(DeviceSource):
     """One Wi-Fi packet is a frame; its sender, where the tool says it, the UE."""
 
     Settings: ClassVar[type[SourceSettings]] = WifiSettings
+    facts = CaptureFacts(phase="random", delay="relative", power="rssi")
     settings: WifiSettings
 
     @property
