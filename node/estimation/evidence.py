@@ -12,8 +12,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from chachart.node.estimation.circle import Circle
 from chachart.node.estimation.lattice import Lattice
-from chachart.node.estimation.manifold import phasors, polynomial_table
+from chachart.node.estimation.manifold import phasors
 from chachart.node.estimation.noise import NoiseFloor
 
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -59,8 +60,7 @@ class AxisEvidence:
         self._scale = lattice.size / (2 * np.maximum(lattice.pairs, 1))
         count = 2 * lattice.span
         offsets = np.arange(count) - count // 2
-        around = np.asarray(np.pi / lattice.span * offsets, np.float64)
-        self._table = polynomial_table(around, lattice.lags).astype(np.float32)
+        self._around = Circle(lattice.lags, count, -(count // 2), np.float32)
         self._away = np.abs(offsets) / 2 > LOBE
         self._near = self._away & (np.abs(offsets) / 2 <= NEAR)
 
@@ -83,7 +83,7 @@ class AxisEvidence:
         signal = np.maximum(total - noise, total / np.sqrt(n * snapshots))
         turned = lags * phasors(u, self._lattice.lags).T
         coherence = turned[:, self._picked] * self._scale[self._picked] / signal[:, None]
-        beams = turned.astype(np.complex64).view(np.float32) @ self._table
+        beams = self._around.values(turned)
         beams -= noise[:, None].astype(np.float32)
         beams /= (n * signal)[:, None].astype(np.float32)
         path = beams[:, len(self._away) // 2]

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import correlate
 
 from chachart.node.data.geometry import ArrayGeometry
 
@@ -105,10 +106,9 @@ class Lattice:
     @cached_property
     def pairs(self) -> Floats:
         """(L,) how many pairs of elements have each lag; an element counts as a pair with itself."""
-        first, second = np.triu_indices(self.size)
-        lag = np.searchsorted(self.lags, self.index[second] - self.index[first])
-        count: Whole = np.bincount(lag, minlength=len(self.lags))
-        return count.astype(np.float64)
+        there = self.spread_out(np.ones(self.size), 0)
+        count: Floats = np.rint(correlate(there, there, "full")[self.span - 1 :][self.lags])
+        return count
 
     @cached_property
     def centred(self) -> Floats:

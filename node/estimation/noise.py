@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import correlate
 
+from chachart.node.estimation.circle import Circle
 from chachart.node.estimation.lattice import Lattice
-from chachart.node.estimation.manifold import polynomial_table
 
 Complex = NDArray[np.complexfloating[Any, Any]]
 Floats = NDArray[np.float64]
@@ -34,11 +35,11 @@ class NoiseFloor:
     def __init__(self, lattice: Lattice) -> None:
         span, lags = lattice.span, lattice.lags
         taper = np.hanning(span + 2)[1:-1]
-        full = np.correlate(taper, taper, "full")[span - 1 :] / np.vdot(taper, taper)
+        full = correlate(taper, taper, "full")[span - 1 :] / np.vdot(taper, taper)
         kernel = np.where(lattice.pairs > 0, full[lags], 0)
         window = kernel * lattice.size / np.maximum(lattice.pairs, 1)
-        beams = 2 * np.pi * np.arange(span) / span
-        self._table = polynomial_table(beams, lags) * window.repeat(2)[:, None]
+        self._window = window
+        self._beams = Circle(lags, span)
         both_sides = np.r_[1.0, np.full(len(lags) - 1, 2.0)]
         self._spread = math.sqrt(float(np.sum(both_sides * kernel * window)) / lattice.size)
 
@@ -52,7 +53,7 @@ class NoiseFloor:
         snapshots
             (U,) number behind each.
         """
-        beams = np.ascontiguousarray(lags, np.complex128).view(np.float64) @ self._table
+        beams = self._beams.values(lags * self._window)
         half = beams.shape[1] // 2
         quiet = np.partition(beams, half - 1, axis=1)[:, :half].mean(axis=1)
         power: Floats = quiet / np.maximum(1 - _LOWER_HALF * self._spread / np.sqrt(snapshots), 0.1)

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.options import Options
 from chachart.node.net.wire import MAX_CSI_BYTES
@@ -28,12 +29,17 @@ def memory_bytes() -> int:
     return min(whole, int(limit)) if limit.isdigit() else whole
 
 
+def frame_problems(array: ArrayGeometry) -> Iterator[str]:
+    """Why frames of the array do not fit."""
+    if 8 * array.antennas * array.subcarriers > MAX_CSI_BYTES:
+        size = f"{array.antennas} antennas x {array.subcarriers} subcarriers"
+        yield f"[array]: a frame of {size} is larger than {MAX_CSI_BYTES >> 20} MiB, the most in one message"
+
+
 def capacity_problems(estimator: ChartEstimator, options: Options) -> Iterator[str]:
-    """Why frames of the estimator's array, or the UEs that the options allow, do not fit."""
+    """Why the UEs that the options allow do not fit."""
     array = estimator.array
     size = f"{array.antennas} antennas x {array.subcarriers} subcarriers"
-    if 8 * array.antennas * array.subcarriers > MAX_CSI_BYTES:
-        yield f"[array]: a frame of {size} is larger than {MAX_CSI_BYTES >> 20} MiB, the most in one message"
     ue_bytes = estimator.bytes_per_ue + ROW_BYTES
     room = SHARE * memory_bytes()
     if options.max_ues * ue_bytes > room:

@@ -23,7 +23,7 @@ from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
 from chachart.node.estimation.options import Options
 from chachart.node.net.security import SecuritySettings, security_problems
-from chachart.node.runtime.capacity import capacity_problems
+from chachart.node.runtime.capacity import capacity_problems, frame_problems
 from chachart.node.runtime.processor import estimator_of
 from chachart.sinks.base import Sink, SinkSettings
 from chachart.sources.base import Source, SourceSettings
@@ -216,6 +216,8 @@ def _problems_apart_from_array(settings: NodeSettings) -> Iterator[str]:
 
 def estimator_problems(array: ArrayGeometry, estimator: Options) -> list[str]:
     """Why no estimator can be made from these settings for this array; nothing if one can."""
+    if problems := list(frame_problems(array)):
+        return problems  # nothing of such a size is tried out
     try:
         smallest = ChartEstimator(array, **(estimator.keywords() | {"max_ues": 1}))
     except ValueError as error:
