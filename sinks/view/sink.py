@@ -111,7 +111,7 @@ class View(WebSink):
             {**self._page_routes(), **_control_routes(operations), **kept, **routes},
             reception.welcome,
             self._hub.run,
-            self._pages["door.html"],
+            self._pages["sign-in.html"],
             self.security,
         )
 

@@ -58,7 +58,7 @@ class WebServer:
         Handles WebSocket connections to `/ws`; None if there are none.
     beside
         Runs in the server's loop for as long as it serves.
-    door
+    sign_in_page
         HTML page for people who need a token; plain text where there is none.
     """
 
@@ -68,7 +68,7 @@ class WebServer:
         routes: Mapping[str, Route],
         socket: Handler | None = None,
         beside: Callable[[], Coroutine[Any, Any, None]] | None = None,
-        door: bytes | None = None,
+        sign_in_page: bytes | None = None,
         security: SecuritySettings | None = None,
     ) -> None:
         security = security or SecuritySettings()
@@ -76,7 +76,7 @@ class WebServer:
         self._routes = routes
         self._socket = socket
         self._beside = beside
-        self._door = door
+        self._sign_in_page = sign_in_page
         self.refusals = Refusals(settings.type)
         self._access = Access(Tokens.of(security, settings.token), security.trust_local)
         self._tls = settings.tls(security)
@@ -260,8 +260,8 @@ class WebServer:
         self.refusals.add(refusal.word)
         answer = Answer.text(refusal.status, refusal.reason)
         if refusal.status == 401:
-            if self._door is not None:
-                page = self._door.replace(b"<!-- reason -->", refusal.reason.encode())
+            if self._sign_in_page is not None:
+                page = self._sign_in_page.replace(b"<!-- reason -->", refusal.reason.encode())
                 answer = Answer(page, HTML, 401)
             return answer.with_headers(WWW_Authenticate='Bearer realm="chachart"')
         return answer.with_headers(Retry_After="5") if refusal.status == 429 else answer

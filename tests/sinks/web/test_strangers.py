@@ -37,7 +37,9 @@ ROUTES = {"GET /": page, "GET /page": page, "POST /do": page}
 def server(**settings: object) -> WebServer:
     security = {k: settings.pop(k) for k in list(settings) if k in SecuritySettings.model_fields}
     web = WebSettings.model_validate({"type": "web", "port": 0, **settings})
-    made = WebServer(web, ROUTES, door=b"<!-- reason -->", security=SecuritySettings.model_validate(security))
+    made = WebServer(
+        web, ROUTES, sign_in_page=b"<!-- reason -->", security=SecuritySettings.model_validate(security)
+    )
     made.start()
     return made
 
