@@ -43,6 +43,7 @@ class Feeder:
             "array": ARRAY.as_dict(),
             "estimator": {"max_ues": 1000, "averaging": "mean"},
             "state": {"folder": str(self.folder), "durable": False},
+            "several": None,
         }
 
         def run() -> None:
