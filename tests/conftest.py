@@ -43,11 +43,11 @@ def _held() -> set[str]:
 
 
 def _threads() -> set[str]:
-    """Threads, but for the one that pyzmq keeps for messages sent without a copy."""
+    """Threads, but for what pyzmq keeps for messages sent without a copy, and libraries run by themselves."""
     return {
         f"thread {thread.name} ({thread.ident})"
         for thread in threading.enumerate()
-        if not type(thread).__module__.startswith("zmq.")
+        if not type(thread).__module__.startswith("zmq.") and not isinstance(thread, threading._DummyThread)
     }
 
 
