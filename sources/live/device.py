@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -125,6 +126,61 @@ class SimulatedDevice(ABC):
     @abstractmethod
     def stop(self) -> None:
         """End everything. May be called twice."""
+
+
+class SimulatedServer(SimulatedDevice):
+    """A simulated device that listens on TCP and serves one client after another until it has played.
+
+    Raises
+    ------
+    SetupError
+        If it cannot listen at `address`.
+    """
+
+    def __init__(self, address: Address) -> None:
+        super().__init__()
+        self.stopping = threading.Event()
+        try:
+            self._listener = socket.create_server(address)
+        except OSError as error:
+            raise SetupError(f"{address[0]}:{address[1]} cannot be listened at: {error.strerror}") from None
+        self._listener.settimeout(0.05)
+        self._thread = threading.Thread(target=self.run, name="simulated device", daemon=True)
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return int(self._listener.getsockname()[1])
+
+    @property
+    def where(self) -> str:
+        """Its address."""
+        return f"host={self._listener.getsockname()[0]} port={self.port}"
+
+    def start(self) -> None:
+        """Listen."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End it."""
+        self.stopping.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        self._listener.close()
+
+    def run(self) -> None:
+        """Serve clients, in the thread."""
+        while not self.stopping.is_set() and not self.ended.is_set():
+            try:
+                client, _ = self._listener.accept()
+            except TimeoutError:
+                continue
+            with client, suppress(OSError):  # the client has gone: wait for the next
+                self.serve(client)
+
+    @abstractmethod
+    def serve(self, client: socket.socket) -> None:
+        """Play to one client; an OSError ends that."""
 
 
 class DeviceSettings(SourceSettings):
@@ -293,22 +349,6 @@ class DeviceSource(Source):
         good = usable(block, self.rejected)
         self._next_seq = block.seq + (0 if good is None else len(good))
         return good
-
-
-def listener(address: Address) -> socket.socket:
-    """A TCP socket that listens at `address`, for a simulated device.
-
-    Raises
-    ------
-    SetupError
-        If it cannot.
-    """
-    try:
-        made = socket.create_server(address)
-    except OSError as error:
-        raise SetupError(f"{address[0]}:{address[1]} cannot be listened at: {error.strerror}") from None
-    made.settimeout(0.05)
-    return made
 
 
 def count(error: CodecError, rejected: Counters) -> None:

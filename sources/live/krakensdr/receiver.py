@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import threading
 import time
 from dataclasses import dataclass, replace
 
@@ -13,7 +12,7 @@ from pydantic import Field
 
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.settings import Settings
-from chachart.sources.live.device import ANY_PORT, Address, SimulatedDevice, listener
+from chachart.sources.live.device import ANY_PORT, Address, SimulatedServer
 from chachart.sources.live.krakensdr import heimdall
 from chachart.sources.live.krakensdr.heimdall import Header
 
@@ -63,7 +62,7 @@ class KrakenReport:
     calibrating: int = 0
 
 
-class SimulatedKraken(SimulatedDevice):
+class SimulatedKraken(SimulatedServer):
     """A receiver. `start` it, point a `krakensdr` source at `port`, `stop` it.
 
     Parameters
@@ -73,65 +72,29 @@ class SimulatedKraken(SimulatedDevice):
     """
 
     def __init__(self, array: ArrayGeometry, faults: KrakenFaults, address: Address = ANY_PORT) -> None:
-        super().__init__()
+        super().__init__(address)
         self._report = KrakenReport()
         self._array, self._faults = array, faults
         self._rng = np.random.default_rng(faults.fault_seed)
         self._sent = 0
-        self._stopping = threading.Event()
-        self._listener = listener(address)
-        self._thread = threading.Thread(target=self._serve, name="kraken", daemon=True)
-
-    @property
-    def where(self) -> str:
-        """Its address."""
-        host, port = self._listener.getsockname()[:2]
-        return f"host={host} port={port}"
-
-    @property
-    def port(self) -> int:
-        """Where it listens."""
-        return int(self._listener.getsockname()[1])
 
     @property
     def report(self) -> KrakenReport:
         """What has become of what it sent."""
         return self._report
 
-    def start(self) -> None:
-        """Listen."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End it."""
-        self._stopping.set()
-        if self._thread.ident is not None:
-            self._thread.join()
-        self._listener.close()
-
-    def _serve(self) -> None:
-        while not self._stopping.is_set() and not self.ended.is_set():
-            try:
-                client, _ = self._listener.accept()
-            except TimeoutError:
-                continue
-            with client:
-                client.settimeout(0.05)
-                try:
-                    self._play(client)
-                except OSError:
-                    continue  # the client has gone: wait for the next
-
-    def _play(self, client: socket.socket) -> None:
+    def serve(self, client: socket.socket) -> None:
+        """See `SimulatedServer`."""
+        client.settimeout(0.05)
         wanted = heimdall.START
-        while not self._stopping.is_set():
+        while not self.stopping.is_set():
             asked = self._asked(client, len(wanted))
             if asked != wanted:
                 return
             wanted = heimdall.NEXT
             if self._faults.frames is not None and self._sent >= self._faults.frames:
                 self.ended.set()
-                self._stopping.wait()
+                self.stopping.wait()
                 return
             client.settimeout(5.0)
             client.sendall(self._frame())
@@ -140,7 +103,7 @@ class SimulatedKraken(SimulatedDevice):
 
     def _asked(self, client: socket.socket, size: int) -> bytes:
         data = b""
-        while len(data) < size and not self._stopping.is_set():
+        while len(data) < size and not self.stopping.is_set():
             try:
                 more = client.recv(size - len(data))
             except TimeoutError:

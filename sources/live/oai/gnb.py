@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import struct
-import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -14,7 +13,7 @@ from pydantic import Field
 
 from chachart.node.data.settings import Settings
 from chachart.sources.base import EndOfSource, Source
-from chachart.sources.live.device import ANY_PORT, Address, SimulatedDevice, listener
+from chachart.sources.live.device import ANY_PORT, Address, SimulatedServer
 from chachart.sources.live.oai.tracer import (
     CHUNK,
     END,
@@ -79,7 +78,7 @@ class GnbReport:
     corrupted: int = 0
 
 
-class SimulatedGnb(SimulatedDevice):
+class SimulatedGnb(SimulatedServer):
     """A gNB that hears what a source says. `start` it, point an `oai` source at `port`, `stop` it.
 
     Parameters
@@ -91,67 +90,35 @@ class SimulatedGnb(SimulatedDevice):
     """
 
     def __init__(self, source: Source, step: int, faults: GnbFaults, address: Address = ANY_PORT) -> None:
-        super().__init__()
+        super().__init__(address)
         self._report = GnbReport()
         self._source, self._step, self._faults = source, step, faults
         self._rng = np.random.default_rng(faults.fault_seed)
         self._frame: dict[int, int] = {}
-        self._stopping = threading.Event()
-        self._listener = listener(address)
-        self._thread = threading.Thread(target=self._serve, name="gnb", daemon=True)
-
-    @property
-    def where(self) -> str:
-        """Its address."""
-        host, port = self._listener.getsockname()[:2]
-        return f"host={host} port={port}"
-
-    @property
-    def port(self) -> int:
-        """Where its tracer listens."""
-        return int(self._listener.getsockname()[1])
 
     @property
     def report(self) -> GnbReport:
         """What has become of what it sent."""
         return self._report
 
-    def start(self) -> None:
-        """Listen."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End it."""
-        self._stopping.set()
-        if self._thread.ident is not None:
-            self._thread.join()
-        self._listener.close()
-
-    def _serve(self) -> None:
+    def run(self) -> None:
+        """Serve clients while the source is open, in the thread."""
         with self._source:
-            while not self._stopping.is_set() and not self.ended.is_set():
-                try:
-                    client, _ = self._listener.accept()
-                except TimeoutError:
-                    continue
-                with client:
-                    client.settimeout(5.0)
-                    try:
-                        self._play(client)
-                    except OSError:
-                        continue  # the client has gone: wait for the next
+            super().run()
 
-    def _play(self, client: socket.socket) -> None:
+    def serve(self, client: socket.socket) -> None:
+        """See `SimulatedServer`."""
+        client.settimeout(5.0)
         for event in _descriptions():
             client.sendall(encode_event(event))
         if not _wants(client):
             return
-        while not self._stopping.is_set():
+        while not self.stopping.is_set():
             try:
                 block = self._source.recv(0.05)
             except EndOfSource:
                 self.ended.set()
-                self._stopping.wait()
+                self.stopping.wait()
                 return
             if block is not None:
                 for ue, time_ns, csi in zip(

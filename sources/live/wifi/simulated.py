@@ -31,6 +31,7 @@ RSSI_DBM = -50.0
 """Of a frame whose values have the mean square 1."""
 LARGEST_PART = 4000
 """The simulated PicoScenes cuts frames into parts of so many bytes."""
+LONGEST_COMMAND = 4096
 _POLL_S = 0.05
 
 
@@ -77,6 +78,7 @@ class SimulatedTool(SimulatedDevice):
         self._ready = threading.Event()
         self._send: Callable[[bytes], None] | None = None
         self._held: list[socket.socket | int] = []
+        self._asked: socket.socket | None = None
         self._where = f"tool={tool} port={address[1]}"
         self._thread = threading.Thread(target=self._play, name="wifi-tool", daemon=True)
 
@@ -114,6 +116,8 @@ class SimulatedTool(SimulatedDevice):
             self._held += [reading, writing]
             self._meet(lambda piece: self._write(writing, piece))
             return StandardInput(reading)
+        if self._tool == "feitcsi":
+            return Udp(ANY_PORT, self._listening(), ask="--mode measure", stop="stop")
         if self._tool == "intel5300":
             server = TcpServer(ANY_PORT)
             self._connect(("127.0.0.1", server.port))
@@ -129,6 +133,9 @@ class SimulatedTool(SimulatedDevice):
                 self._where = f"tool=esp32 serial_port={self._terminal()}"
             case "intel5300":
                 self._connect(self._address)
+            case "feitcsi":
+                host, port = self._listening()
+                self._where = f"tool=feitcsi host={host} port={port}"
             case "nexmon_pcap":
                 raise SetupError(
                     "nexmon_pcap comes on standard input: give the node a file, or tcpdump's output"
@@ -143,6 +150,9 @@ class SimulatedTool(SimulatedDevice):
     def _send_to(self, far: Address) -> None:
         sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._held.append(sender)
+        self._send_from(sender, far)
+
+    def _send_from(self, sender: socket.socket, far: Address) -> None:
         self._meet(lambda piece: _quietly(sender, piece, far))
 
     def _connect(self, far: Address) -> None:
@@ -152,6 +162,34 @@ class SimulatedTool(SimulatedDevice):
             raise SetupError(f"nobody listens at {far[0]}:{far[1]}: {error.strerror or error}") from None
         self._held.append(stream)
         self._meet(stream.sendall)
+
+    def _listening(self) -> Address:
+        """Listen for a client's command, as FeitCSI does; what it is told goes to whoever told it."""
+        made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            made.bind(self._address)
+        except OSError as error:
+            made.close()
+            where = f"{self._address[0]}:{self._address[1]}"
+            raise SetupError(f"{where} cannot be listened at: {error.strerror}") from None
+        made.setblocking(False)
+        self._held.append(made)
+        self._asked = made
+        host, port = made.getsockname()[:2]
+        return str(host), int(port)
+
+    def _hear_commands(self) -> None:
+        """A command begins, `stop` ends."""
+        assert self._asked is not None
+        try:
+            command, client = self._asked.recvfrom(LONGEST_COMMAND)
+        except (BlockingIOError, ConnectionError):
+            return
+        if command == b"stop":
+            self._send = None
+            self._ready.clear()
+        else:
+            self._send_from(self._asked, client)
 
     def _terminal(self) -> str:
         master, other = os.openpty()
@@ -187,6 +225,8 @@ class SimulatedTool(SimulatedDevice):
     def _play(self) -> None:
         with self._source:
             while not self._stopping.is_set():
+                if self._asked is not None:
+                    self._hear_commands()
                 if self._send is None:
                     self._ready.wait(_POLL_S)
                     continue

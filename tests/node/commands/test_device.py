@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from live_node import free_port
 from source_contract import receive
 
 from chachart.config.load import load
@@ -62,3 +63,23 @@ def test_a_source_listens_to_a_device_in_another_process(name: str) -> None:
 def test_mistakes_are_told(arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["device", *arguments]) == 78
     assert told in capsys.readouterr().err
+
+
+def test_a_tool_that_is_asked_answers_whoever_asks() -> None:
+    """FeitCSI listens, and sends to whoever gave it a command."""
+    numbers = [*range(-28, 0), *range(1, 29)]
+    array = ["array.antennas=2", f"array.tones={numbers}", "source.tool=feitcsi"]
+    command = [*CHACHART, "device", "wifi", "--listen", f"127.0.0.1:{free_port()}", "--json", "--set", *array]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            told = dict(re.findall(r"(\w+)=(\S+)", process.stdout.readline()))
+            assert told["tool"] == "feitcsi"
+            where = [f"source.{key}={told[key]}" for key in ("host", "port")]
+            settings = load(Path("wifi-loopback.toml"), [*array, *where, "source.loopback=false"])
+            assert settings.array is not None
+            for _ in range(2):  # it goes on for the next who asks
+                with source_class("wifi")(settings.source, settings.array.geometry()) as source:
+                    assert sum(len(block) for block in receive(source, 20)) >= 20
+        finally:
+            process.kill()
