@@ -22,7 +22,8 @@ from pathlib import Path
 from chachart.config.load import load
 from chachart.config.registry import source_class
 from chachart.node.data.errors import SetupError
-from chachart.sources.live.device import Address, DeviceSource
+from chachart.sources.live.device import DeviceSource
+from chachart.sources.live.simulated import Address
 
 PORTS = {"espargos": 8000, "oai": 2021, "krakensdr": 5000, "wifi": 5500}
 

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from chachart.config.load import NodeSettings
 from chachart.node.commands.shared import fused
 from chachart.node.commands.shared.charting import (
     FEWEST_UES,
@@ -35,7 +36,7 @@ from chachart.node.commands.shared.charting import (
 )
 from chachart.node.commands.shared.cli import check_figure, check_writable
 from chachart.node.commands.shared.tables import as_csv, as_latex
-from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.chart import ChartUpdate, Method
 from chachart.node.data.errors import SetupError
 from chachart.node.data.extras import require
 from chachart.node.data.geometry import ArrayGeometry
@@ -103,33 +104,11 @@ def run(arguments: argparse.Namespace) -> int:
         "chosen_because": _chosen(arguments, reader),
         "warnings": [],
     }
-    known = np.zeros(0) if chart.position is None else np.flatnonzero(np.isfinite(chart.position).all(axis=1))
-    remark = f"only {len(known)} UEs have a known position: nothing to compare with"
-    if len(known):
-        told = chart.take(known)
-        assert told.position is not None
-        if in_degrees(told.position):
-            raise SetupError(
-                f"{reader.path}: the known positions lie within a centimetre of one another: they look like "
-                "degrees (import them again with --position-unit deg)"
-            )
-        figures |= _one_coordinate_each(told, reader.array)
-        if "none" in (estimator.method.theta, estimator.method.rho) and "z" not in told.columns:
-            remark = "one coordinate alone is no place: only its own error counts"
-        elif len(known) >= FEWEST_UES:
-            try:
-                figures |= assess(told, reader.array, settings.quality.k, settings.quality.exact_ues)
-                figures["ues"] = len(chart)
-            except ValueError as error:
-                remark = str(error)
+    compared, remark = _compared(chart, reader, estimator.method, settings)
+    figures |= compared
     method = f"{estimator.method.theta}/{estimator.method.rho}"
     _print(arguments.recording, method, figures, remark)
-    if arguments.json is not None:
-        arguments.json.write_text(json.dumps(figures, indent=2) + "\n")
-    if arguments.table is not None:
-        row = {"recording": arguments.recording.name, "methods": method}
-        row |= {name: value for name, value in figures.items() if not isinstance(value, dict)}
-        arguments.table.write_text(_TABLES[arguments.table.suffix]([row]))
+    _write(arguments, method, figures)
     if arguments.chart is not None:
         from chachart.node.commands.figures import chart as picture
         from chachart.node.commands.figures.style import write
@@ -137,6 +116,43 @@ def run(arguments: argparse.Namespace) -> int:
         charted = Charted(chart, reader.array, f"{arguments.recording.name}, {method}")
         write(arguments.chart, lambda: picture.draw(charted))
     return 0
+
+
+def _compared(
+    chart: ChartUpdate, reader: RecordingReader, method: Method, settings: NodeSettings
+) -> tuple[dict[str, Any], str]:
+    """Figures from the UEs whose positions are known, and what to say where there are none."""
+    known = np.zeros(0) if chart.position is None else np.flatnonzero(np.isfinite(chart.position).all(axis=1))
+    nothing = f"only {len(known)} UEs have a known position: nothing to compare with"
+    if not len(known):
+        return {}, nothing
+    told = chart.take(known)
+    assert told.position is not None
+    if in_degrees(told.position):
+        raise SetupError(
+            f"{reader.path}: the known positions lie within a centimetre of one another: they look like "
+            "degrees (import them again with --position-unit deg)"
+        )
+    figures = _one_coordinate_each(told, reader.array)
+    if "none" in (method.theta, method.rho) and "z" not in told.columns:
+        return figures, "one coordinate alone is no place: only its own error counts"
+    if len(known) < FEWEST_UES:
+        return figures, nothing
+    try:
+        of_chart = assess(told, reader.array, settings.quality.k, settings.quality.exact_ues)
+    except ValueError as error:
+        return figures, str(error)
+    return {**figures, **of_chart, "ues": len(chart)}, nothing
+
+
+def _write(arguments: argparse.Namespace, method: str, figures: dict[str, Any]) -> None:
+    """The figures to the files that were asked for."""
+    if arguments.json is not None:
+        arguments.json.write_text(json.dumps(figures, indent=2) + "\n")
+    if arguments.table is not None:
+        row = {"recording": arguments.recording.name, "methods": method}
+        row |= {name: value for name, value in figures.items() if not isinstance(value, dict)}
+        arguments.table.write_text(_TABLES[arguments.table.suffix]([row]))
 
 
 def _chosen(arguments: argparse.Namespace, reader: RecordingReader) -> str:

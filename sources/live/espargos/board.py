@@ -15,12 +15,12 @@ from pydantic import Field
 
 from chachart.node.data.settings import Settings
 from chachart.sources.base import EndOfSource, Source
-from chachart.sources.live.device import SimulatedDevice
 from chachart.sources.live.espargos import control, message, stream
 from chachart.sources.live.espargos.calibration import trace_delay_s
 from chachart.sources.live.espargos.cluster import ANTENNAS, Cluster
 from chachart.sources.live.espargos.control import Channel
 from chachart.sources.live.espargos.message import SUBCARRIER_SPACING_HZ, UNIT_NS, SensorCsi
+from chachart.sources.live.simulated import SimulatedDevice
 
 REFERENCE_HZ = 200.0
 """Reference packets a second while the switch is at the reference."""

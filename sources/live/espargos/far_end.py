@@ -14,11 +14,12 @@ from typing import Any
 from chachart.node.data.counters import Counters
 from chachart.node.data.errors import SetupError
 from chachart.sources.base import Source
-from chachart.sources.live.device import ANY_PORT, Address, CodecError
+from chachart.sources.live.device import CodecError
 from chachart.sources.live.espargos import stream, uart
 from chachart.sources.live.espargos.board import BoardFaults, SimulatedBoard
 from chachart.sources.live.espargos.control import Channel
 from chachart.sources.live.espargos.uart import Kind, UartFrame
+from chachart.sources.live.simulated import ANY_PORT, Address
 
 LONGEST_BODY = 1 << 16
 

@@ -19,15 +19,12 @@ from chachart.node.data.settings import Settings
 from chachart.sources.base import SourceSettings
 from chachart.sources.frontend.clock import DeviceClock
 from chachart.sources.live.device import (
-    ANY_PORT,
-    Address,
     CodecError,
     Connection,
     DeviceGone,
     DeviceSettings,
     DeviceSource,
     Frame,
-    SimulatedDevice,
     count,
 )
 from chachart.sources.live.espargos import calibration, control, stream
@@ -39,6 +36,7 @@ from chachart.sources.live.espargos.far_end import NetworkBoard
 from chachart.sources.live.espargos.link import Link, NetworkLink
 from chachart.sources.live.espargos.message import TONES, decode_message
 from chachart.sources.live.espargos.serial_link import SerialLink
+from chachart.sources.live.simulated import ANY_PORT, Address, SimulatedDevice
 from chachart.sources.simulator import Simulator, SimulatorSettings
 
 log = logging.getLogger(__name__)

@@ -12,9 +12,9 @@ from pydantic import Field
 
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.settings import Settings
-from chachart.sources.live.device import ANY_PORT, Address, SimulatedServer
 from chachart.sources.live.krakensdr import heimdall
 from chachart.sources.live.krakensdr.heimdall import Header
+from chachart.sources.live.simulated import ANY_PORT, Address, SimulatedServer
 
 
 class Transmitter(Settings):

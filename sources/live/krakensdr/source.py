@@ -14,20 +14,18 @@ from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import SourceSettings
 from chachart.sources.live.device import (
-    ANY_PORT,
-    Address,
     CodecError,
     Connection,
     DeviceGone,
     DeviceSettings,
     DeviceSource,
     Frame,
-    SimulatedDevice,
 )
 from chachart.sources.live.krakensdr import heimdall
 from chachart.sources.live.krakensdr.bursts import bursts, factor
 from chachart.sources.live.krakensdr.heimdall import Header
 from chachart.sources.live.krakensdr.receiver import KrakenFaults, SimulatedKraken
+from chachart.sources.live.simulated import ANY_PORT, Address, SimulatedDevice
 
 CONNECT_S = 3.0
 READ_BYTES = 1 << 20

@@ -13,7 +13,6 @@ from pydantic import Field
 
 from chachart.node.data.settings import Settings
 from chachart.sources.base import EndOfSource, Source
-from chachart.sources.live.device import ANY_PORT, Address, SimulatedServer
 from chachart.sources.live.oai.tracer import (
     CHUNK,
     END,
@@ -23,6 +22,7 @@ from chachart.sources.live.oai.tracer import (
     encode_arguments,
     encode_event,
 )
+from chachart.sources.live.simulated import ANY_PORT, Address, SimulatedServer
 
 DESCRIPTIONS = """\
 ID = LEGACY_PHY_INFO

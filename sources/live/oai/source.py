@@ -14,20 +14,18 @@ from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import SourceSettings
 from chachart.sources.live.device import (
-    ANY_PORT,
-    Address,
     CodecError,
     Connection,
     DeviceGone,
     DeviceSettings,
     DeviceSource,
     Frame,
-    SimulatedDevice,
     count,
 )
 from chachart.sources.live.oai import srs, tracer
 from chachart.sources.live.oai.gnb import GnbFaults, SimulatedGnb
 from chachart.sources.live.oai.tracer import CHUNK, END, Description, Event, EventStream
+from chachart.sources.live.simulated import ANY_PORT, Address, SimulatedDevice
 from chachart.sources.simulator import Simulator, SimulatorSettings
 
 log = logging.getLogger(__name__)

@@ -20,7 +20,7 @@ from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
 from chachart.node.data.settings import Settings
 from chachart.sources.base import EndOfSource, Source
-from chachart.sources.live.device import ANY_PORT, Address, SimulatedDevice
+from chachart.sources.live.simulated import ANY_PORT, Address, SimulatedDevice
 from chachart.sources.live.wifi.cutting import PicoScenesForwarder
 from chachart.sources.live.wifi.encoding import ENCODERS, FULL_SCALE, SUBCARRIERS, Packet
 from chachart.sources.live.wifi.frames import tone_places

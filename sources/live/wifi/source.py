@@ -12,16 +12,14 @@ from chachart.node.data.facts import CaptureFacts
 from chachart.node.net.security import SecuritySettings
 from chachart.sources.base import SourceSettings
 from chachart.sources.live.device import (
-    ANY_PORT,
-    Address,
     CodecError,
     Connection,
     DeviceGone,
     DeviceSettings,
     DeviceSource,
     Frame,
-    SimulatedDevice,
 )
+from chachart.sources.live.simulated import ANY_PORT, Address, SimulatedDevice
 from chachart.sources.live.wifi.frames import Selection
 from chachart.sources.live.wifi.simulated import SimulatedTool, ToolFaults
 from chachart.sources.live.wifi.tools import ChipName, Decoder, ToolName, decoder

@@ -10,7 +10,8 @@ from contextlib import suppress
 
 from chachart.node.data.errors import SetupError
 from chachart.node.data.extras import require
-from chachart.sources.live.device import Address, DeviceGone
+from chachart.sources.live.device import DeviceGone
+from chachart.sources.live.simulated import Address
 
 READ_BYTES = 1 << 16
 LONGEST_DATAGRAM = 65535
