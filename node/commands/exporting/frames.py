@@ -20,7 +20,7 @@ def _npz(path: Path, variables: Variables) -> None:
 
 
 def _hdf5(path: Path, variables: Variables) -> None:
-    require("formats", f"{path}:")
+    require("formats", "HDF5:")
     import h5py
 
     with h5py.File(path, "w") as file:

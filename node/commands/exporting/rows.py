@@ -119,7 +119,7 @@ def write_csv(path: Path, charts: Iterable[ChartUpdate], table: Table, place: Pl
 
 
 def _parquet(path: Path, charts: Iterable[ChartUpdate], table: Table, place: Place | None) -> int:
-    require("parquet", f"{path}:")
+    require("parquet", "Parquet:")
     import pyarrow as pa
     from pyarrow import parquet
 
