@@ -15,6 +15,7 @@ from chachart.node.data.chart import ChartUpdate, Method
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import RequestError
+from chachart.node.data.extras import require
 from chachart.node.net.wire import (
     WireError,
     decode_chart,
@@ -28,7 +29,6 @@ from chachart.node.net.wire import (
 )
 from chachart.sinks.control import decode_request
 from chachart.sources.frontend import packet
-from chachart.sources.frontend.framing import StreamDecoder, encode_frame
 
 _SEPARATOR = b"<part>"
 
@@ -101,6 +101,9 @@ def _packet() -> Decoder:
 
 
 def _stream() -> Decoder:
+    require("serial", "chachart bench attack:")
+    from chachart.sources.frontend.framing import StreamDecoder, encode_frame
+
     rejected = Counters()
     decoder = StreamDecoder(4096, rejected)
     sample = b"".join(map(encode_frame, _packets() * 3))

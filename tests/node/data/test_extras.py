@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from chachart.node.commands.main import COMMANDS
 from chachart.node.data.extras import EXTRAS
 
 PROJECT = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text())
@@ -28,6 +29,7 @@ def test_the_extras_are_those_of_the_package() -> None:
         ("matplotlib", ["reproduce"], "chachart[plot]"),
         ("threadpoolctl", ["bench", "quality"], "chachart[bench]"),
         ("threadpoolctl", ["reproduce"], "chachart[bench]"),
+        ("cobs", ["bench", "attack", "--decoder", "stream", "--no-floods"], "chachart[serial]"),
     ],
 )
 def test_a_command_names_the_line_that_installs_what_it_needs(
@@ -41,3 +43,13 @@ def test_a_command_names_the_line_that_installs_what_it_needs(
     assert done.returncode == 78, done.stderr
     assert f'not installed: pip install "{told}"' in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("command", sorted(COMMANDS))
+def test_no_extra_is_needed_to_be_told_how_a_command_is_used(command: str) -> None:
+    missing = {module: None for packages in EXTRAS.values() for module in packages}
+    code = f"import sys; sys.modules.update({missing!r}); "
+    code += f"from chachart.node.commands.main import main; main([{command!r}, '--help'])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert f"usage: chachart {command}" in done.stdout
