@@ -100,13 +100,8 @@ def parse_request(payload: bytes) -> tuple[str, bytes]:
     CodecError
         `uart` if the payload is cut.
     """
-    if len(payload) < _REQUEST.size:
-        raise CodecError("uart", "a request is cut")
-    _, path, body = _REQUEST.unpack_from(payload)
-    rest = payload[_REQUEST.size :]
-    if len(rest) != path + body:
-        raise CodecError("uart", "a request is cut")
-    return rest[:path].decode("utf-8", "replace"), rest[path:]
+    _, path, body = _parts(_REQUEST, payload, "a request")
+    return path.decode("utf-8", "replace"), body
 
 
 def response(status: int, body: bytes, kind: str = "text/plain") -> bytes:
@@ -122,10 +117,15 @@ def parse_response(payload: bytes) -> tuple[int, str]:
     CodecError
         `uart` if the payload is cut.
     """
-    if len(payload) < _RESPONSE.size:
-        raise CodecError("uart", "an answer is cut")
-    status, kind, body = _RESPONSE.unpack_from(payload)
-    rest = payload[_RESPONSE.size :]
-    if len(rest) != kind + body:
-        raise CodecError("uart", "an answer is cut")
-    return status, rest[kind:].decode("utf-8", "replace")
+    status, _, body = _parts(_RESPONSE, payload, "an answer")
+    return status, body.decode("utf-8", "replace")
+
+
+def _parts(head: struct.Struct, payload: bytes, what: str) -> tuple[int, bytes, bytes]:
+    """The head's first number, and the two strings behind it whose lengths follow in the head."""
+    if len(payload) >= head.size:
+        number, first, second = head.unpack_from(payload)
+        rest = payload[head.size :]
+        if len(rest) == first + second:
+            return number, rest[:first], rest[first:]
+    raise CodecError("uart", f"{what} is cut")
