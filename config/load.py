@@ -14,7 +14,8 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from chachart.config.describe import allowed, literal_values, nested_model, toml
-from chachart.config.overrides import apply
+from chachart.config.overrides import LABELS, apply
+from chachart.config.pairing import FeedSettings, paired
 from chachart.config.registry import Kind, available, settings_class, suggestion
 from chachart.config.settings import ArraySettings, QualitySettings, StateSettings, WorkersSettings
 from chachart.config.shipped import LAB, find
@@ -65,14 +66,13 @@ class NodeSettings:
 
     Attributes
     ----------
-    array
-        None where no `[array]` is given: the source must then carry its own.
-    source, estimator, workers, quality, state, sinks, security, fusion, tracking
+    feeds
+        The sources, each with its arrays.
+    estimator, workers, quality, state, sinks, security, fusion, tracking
         The other sections of the configuration.
     """
 
-    array: ArraySettings | None
-    source: SourceSettings
+    feeds: tuple[FeedSettings, ...]
     estimator: Options
     workers: WorkersSettings
     quality: QualitySettings
@@ -81,6 +81,16 @@ class NodeSettings:
     security: SecuritySettings = field(default_factory=SecuritySettings)
     fusion: FusionOptions = field(default_factory=FusionOptions)
     tracking: TrackingOptions = field(default_factory=TrackingOptions)
+
+    @property
+    def source(self) -> SourceSettings:
+        """The first source."""
+        return self.feeds[0].source
+
+    @property
+    def array(self) -> ArraySettings | None:
+        """The first source's first array; None where it must carry its own."""
+        return next(iter(self.feeds[0].arrays), None)
 
 
 def load(path: Path | None = None, overrides: Sequence[str] = (), sinks: Sequence[str] = ()) -> NodeSettings:
@@ -156,8 +166,8 @@ class _Loader:
             if section not in SECTIONS:
                 hint = suggestion(section, list(SECTIONS))
                 self._wrong((section,), f"there is no such section, only {', '.join(SECTIONS)}{hint}")
-        array = self._section(ArraySettings, "array") if "array" in self.document else None
-        source = self._component("source", ("source",), self._table("source"))
+        arrays = [self._validate(ArraySettings, *one) for one in self._repeated("array")]
+        sources = [self._component("source", *one) for one in self._repeated("source")]
         estimator = self._section(Options, "estimator")
         workers = self._section(WorkersSettings, "workers")
         quality = self._section(QualitySettings, "quality")
@@ -166,19 +176,20 @@ class _Loader:
         fusion = self._section(FusionOptions, "fusion")
         tracking = self._section(TrackingOptions, "tracking")
         sinks = [self._component("sink", ("sinks", n), table) for n, table in enumerate(self._sinks())]
-        geometry = self._geometry(array) if array else None
-        if estimator and geometry:
+        geometries = [self._geometry(array) for array in arrays if array]
+        if estimator and len(geometries) == 1 and (geometry := geometries[0]):
             for key, problem in (*misfits(estimator, geometry), *unreachable(estimator, geometry)):
                 self._wrong(("estimator", key), problem, getattr(estimator, key))
         if state is not None and state.resume and state.directory is None:
             self._wrong(("state", "resume"), "directory must be set to resume from", state.resume)
-        if source is None or estimator is None or workers is None or quality is None or state is None:
+        if estimator is None or workers is None or quality is None or state is None or self.mistakes:
             raise ConfigError(self.mistakes)
-        if self.mistakes:
-            raise ConfigError(self.mistakes)
+        try:
+            feeds = paired(cast(list[SourceSettings], sources), cast(list[ArraySettings], arrays))
+        except ValueError as error:
+            raise ConfigError([f"{self.name}: {error}"]) from None
         return NodeSettings(
-            array,
-            cast(SourceSettings, source),
+            feeds,
             estimator,
             workers,
             quality,
@@ -197,13 +208,23 @@ class _Loader:
     def _place(self, location: Location) -> str:
         """A location as people write it: a sink by its type, or its place where that does not say which."""
         if len(location) > 1 and isinstance(number := location[1], int):
-            types = [sink.get("type") for sink in self._sinks()]
-            kind = types[number]
-            key = ".".join(map(str, location[2:]))
-            if isinstance(kind, str) and key != "type" and types.count(kind) == 1:
-                return f"sinks.{kind}.{key}"
-            return f"[[sinks]] number {number + 1}, {key}"
+            section, label = str(location[0]), LABELS[str(location[0])]
+            labels = [table.get(label) for table in self.document[section]]
+            name, key = labels[number], ".".join(map(str, location[2:]))
+            if isinstance(name, str) and key != label and labels.count(name) == 1:
+                return f"{section}.{name}.{key}"
+            return f"[[{section}]] number {number + 1}, {key}"
         return ".".join(map(str, location))
+
+    def _repeated(self, section: str) -> list[tuple[Location, dict[str, Any]]]:
+        """The table of a section, or all of them where it is repeated, each with where it is."""
+        tables = self.document.get(section, {})
+        if isinstance(tables, dict):
+            return [((section,), tables)] if section in (*self.document, "source") else []
+        if isinstance(tables, list) and tables and all(isinstance(table, dict) for table in tables):
+            return [((section, n), table) for n, table in enumerate(tables)]
+        self._wrong((section,), f"must be a table: [{section}] on a line of its own, its keys below", tables)
+        return []
 
     def _table(self, section: str) -> dict[str, Any] | None:
         table = self.document.get(section, {})
@@ -223,9 +244,7 @@ class _Loader:
         table = self._table(section)
         return None if table is None else self._validate(model, (section,), table)
 
-    def _component(self, kind: Kind, where: Location, table: dict[str, Any] | None) -> Settings | None:
-        if table is None:
-            return None
+    def _component(self, kind: Kind, where: Location, table: dict[str, Any]) -> Settings | None:
         location = (*where, "type")
         name = table.get("type")
         names = ", ".join(f'"{n}"' for n in available(kind))
@@ -246,7 +265,8 @@ class _Loader:
         try:
             return array.geometry()
         except ValueError as error:
-            self._wrong(("array",), str(error))
+            several = isinstance(self.document["array"], list)
+            self._wrong((f"array.{array.name}" if several else "array",), str(error))
             return None
 
     def _validate(

@@ -8,13 +8,17 @@ from typing import Any
 
 Location = tuple[str | int, ...]
 
+LABELS = {"sinks": "type", "source": "type", "array": "name"}
+"""Sections that may stand there several times, and the key by which one of them is called."""
+
 
 def apply(document: dict[str, Any], overrides: Sequence[str]) -> tuple[dict[Location, str], list[str]]:
     """Change `document` in place; what was set, by place, and a line for each override that makes no sense.
 
     A value is read as TOML, and as plain text where it is none. A sink is addressed by its number or by its
-    type, as in `sinks.0.endpoint` or `sinks.publisher.endpoint`. Another `type` of source or sink takes the
-    place of the whole table, since the keys of the one mean nothing to the other.
+    type, as in `sinks.0.endpoint` or `sinks.publisher.endpoint`, and so is one of several sources; one of
+    several arrays by its number or name. Another `type` of source or sink takes the place of the whole table,
+    since the keys of the one mean nothing to the other.
     """
     applied: dict[Location, str] = {}
     mistakes: list[str] = []
@@ -51,25 +55,26 @@ def parse_value(text: str) -> Any:
 
 
 def _locate(document: dict[str, Any], keys: list[str]) -> Location:
-    if keys[0] != "sinks":
+    section = keys[0]
+    tables = document.get(section)
+    if section not in LABELS or (section != "sinks" and not isinstance(tables, list)):
         return tuple(keys)
-    sinks = document.get("sinks")
-    sinks = sinks if isinstance(sinks, list) else []
-    types = [sink.get("type") if isinstance(sink, dict) else None for sink in sinks]
-    listed = ", ".join(str(kind) for kind in types) or "none"
+    noun, label = section.removesuffix("s"), LABELS[section]
+    tables = tables if isinstance(tables, list) else []
+    labels = [table.get(label) if isinstance(table, dict) else None for table in tables]
+    listed = ", ".join(str(name) for name in labels) or "none"
     if keys[1].isdigit():
-        numbers = [int(keys[1])] if int(keys[1]) < len(types) else []
+        numbers = [int(keys[1])] if int(keys[1]) < len(labels) else []
     else:
-        numbers = [n for n, kind in enumerate(types) if kind == keys[1]]
+        numbers = [n for n, name in enumerate(labels) if name == keys[1]]
     if not numbers:
-        raise LookupError(f'there is no sink "{keys[1]}"; the configuration has {listed}')
+        raise LookupError(f'there is no {noun} "{keys[1]}"; the configuration has {listed}')
     if len(numbers) > 1:
-        raise LookupError(
-            f'several sinks are "{keys[1]}", say which by its number, from 0; the configuration has {listed}'
-        )
+        which = "say which by its number, from 0"
+        raise LookupError(f'several {noun}s are "{keys[1]}", {which}; the configuration has {listed}')
     if len(keys) < 3:
-        raise LookupError(f"must name a key of the sink, as in sinks.{keys[1]}.key=value")
-    return ("sinks", numbers[0], *keys[2:])
+        raise LookupError(f"must name a key of the {noun}, as in {section}.{keys[1]}.key=value")
+    return (section, numbers[0], *keys[2:])
 
 
 def _put(document: dict[str, Any], location: Location, value: Any) -> None:

@@ -123,8 +123,8 @@ class Sink(ABC):
         Rows, frames or reports that it took and could not pass on, by reason.
     refused
         What it turned away (peers, requests, messages), by reason.
-    security
-        `[security]`; whoever runs the sink sets it before `open`.
+    security, others
+        `[security]`, and further arrays whose frames come; whoever runs the sink sets them before `open`.
     trouble
         Why it cannot do its work at the moment, in one line, or None.
     """
@@ -132,6 +132,7 @@ class Sink(ABC):
     Settings: ClassVar[type[SinkSettings]]
     wants_csi: ClassVar[bool] = False
     security: SecuritySettings = SecuritySettings()
+    others: tuple[ArrayGeometry, ...] = ()
 
     def __init__(self, settings: Any, array: ArrayGeometry) -> None:
         self.settings = settings

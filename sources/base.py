@@ -11,6 +11,8 @@ from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Any, ClassVar, Self
 
+from pydantic import Field
+
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import RequestError
@@ -29,6 +31,9 @@ class SourceSettings(Settings):
 
     type: str
     """Which source."""
+    array: str | tuple[str, ...] | None = Field(None, examples=["north"])
+    """Name of the [[array]] that it measures with, where there are several; not set: the one in the same
+    place. A list of names where one source has the frames of several."""
 
     def listens_on(self) -> str | None:
         """The one endpoint that it takes for itself; None where it takes none, or any that is free."""

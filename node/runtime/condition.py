@@ -8,6 +8,8 @@ from typing import Any
 
 QUIET_S = 5.0
 """A live source without frames for so long is worth a word."""
+ONE_QUIET_S = 3.0
+"""One of several sources without frames for so long, too."""
 LATELY_S = 5.0
 
 Trouble = tuple[str, str]
@@ -77,6 +79,7 @@ class ConditionWatch:
         """Everything that is wrong, the worst first."""
         yield from _processes(status)
         yield from self._input(status, then, now)
+        yield from _sources(status)
         yield from _disks(status)
         yield from _estimates(status, then)
         if faults := status["antennas"].get("faults"):
@@ -113,6 +116,21 @@ def _processes(status: dict[str, Any]) -> Iterator[Trouble]:
         for worker in status["workers"]:
             if worker["pid"] is None:
                 yield f"worker {worker['shard']} is being restarted", wait
+
+
+def _sources(status: dict[str, Any]) -> Iterator[Trouble]:
+    """Those of several sources that have stopped; the others go on."""
+    for source in status["sources"]:
+        which, quiet = f"array {source['name']}", source["quiet_s"]
+        if source["ended"] or not source["live"]:
+            continue
+        if quiet > ONE_QUIET_S:
+            yield (
+                f"{which}: nothing for {quiet:.0f} s",
+                f"is it on, and heard by source {source['type']}?",
+            )
+        elif source["pid"] is None:
+            yield f"{which}: its source is being restarted", "look into the log if that goes on"
 
 
 def _disks(status: dict[str, Any]) -> Iterator[Trouble]:

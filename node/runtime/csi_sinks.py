@@ -26,15 +26,18 @@ class CsiSinks:
     ----------
     reader
         Whose `sinks` get the blocks.
-    array
-        The array.
+    array, others
+        The arrays.
     lossless
         Whether a slow sink makes the reader wait.
     """
 
-    def __init__(self, reader: Reader, array: ArrayGeometry, lossless: bool) -> None:
+    def __init__(
+        self, reader: Reader, array: ArrayGeometry, others: tuple[ArrayGeometry, ...], lossless: bool
+    ) -> None:
         self._reader = reader
         self._array = array
+        self._others = others
         self._lossless = lossless
         self._recording: SinkThread | None = None
         self._closed = False
@@ -49,7 +52,9 @@ class CsiSinks:
             If it cannot be opened.
         """
         values = cls.Settings.model_validate(settings)
-        thread = SinkThread(cls(values, self._array), values.type, QUEUE_BLOCKS, self._lossless)
+        sink = cls(values, self._array)
+        sink.others = self._others
+        thread = SinkThread(sink, values.type, QUEUE_BLOCKS, self._lossless)
         thread.open(None)
         self._reader.sinks = (*self._reader.sinks, thread)
         log.info("%s: %s", thread.name, thread.where())

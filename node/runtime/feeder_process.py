@@ -117,6 +117,13 @@ class FeederProcess:
         now: int = sum(worker.get(count, 0) for worker in self.status.get("workers", ()))
         return now + self._earlier.as_dict().get(count, 0)
 
+    def abandon(self) -> None:
+        """End it; what is not accounted for counts as dropped."""
+        if fed := self.status:
+            lost = fed["frames_in"] - fed["frames_estimated"] - sum(fed["dropped"].values())
+            fed["dropped"] = {**fed["dropped"], "node_failed": lost}
+        self.supervised.kill()
+
     def _hangs(self, now: float) -> str | None:
         if (silent := now - self._heard_at) > LEAST_S:
             return f"not heard of for {silent:.0f} s"

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from chachart.node.runtime.child import Child, class_path
+from chachart.node.runtime.gathered import GatheredSources
 from chachart.node.runtime.links import Links
-from chachart.node.runtime.plan import Plan
+from chachart.node.runtime.plan import Feed, Plan
 
 
 class Launcher:
@@ -25,6 +26,8 @@ class Launcher:
 
     def __init__(self, plan: Plan, links: Links, log_level: int, folder: Path | None) -> None:
         self._plan = plan
+        self._links = links
+        self._lives = 0
         self._endpoints = links.endpoints
         self._common: dict[str, Any] = {
             "log_level": log_level,
@@ -36,7 +39,26 @@ class Launcher:
         durable = plan.state.directory is not None
         self._state = {"folder": None if folder is None else str(folder), "durable": durable}
 
-    def feeder(self, method: dict[str, str], counted: dict[str, Any] | None) -> Child:
+    def source(self, number: int) -> Child:
+        """Start the process of one of several sources."""
+        feed = self._plan.feeds[number]
+        self._lives += 1
+        settings = {
+            "log_level": self._common["log_level"],
+            "directory": self._common["directory"],
+            "number": number,
+            "source": _source(feed),
+            "arrays": [array.as_dict() for array in feed.arrays],
+            "security": self._security(),
+            "results": self._endpoints["results"],
+            "endpoint": self._links.of_source(number),
+            "identity": f"{number}.{self._lives}",
+        }
+        return Child(f"source of {feed.name}", "chachart.node.runtime.source_process", settings)
+
+    def feeder(
+        self, method: dict[str, str], counted: dict[str, Any] | None, ended: tuple[bool, ...] = ()
+    ) -> Child:
         """Start the process with the source and the CSI sinks.
 
         Parameters
@@ -45,16 +67,15 @@ class Launcher:
             {theta, rho} to estimate with.
         counted
             The last status of the one before; None if there was none.
+        ended
+            Which of several sources have given all they had.
         """
         plan = self._plan
         settings = {
             **self._common,
             "sockets": self._endpoints,
-            "security": plan.security.model_dump(mode="json", exclude={"token", "read_token"}),
-            "source": {
-                "class": class_path(plan.source),
-                "settings": plan.source_settings.model_dump(mode="json"),
-            },
+            "security": self._security(),
+            "source": self._gathered(ended) if plan.further else _source(plan.feeds[0]),
             "workers": {**plan.workers.model_dump(mode="json"), "block_frames": plan.block_frames},
             "estimator": method,
             "state": plan.state.model_dump(mode="json"),
@@ -82,9 +103,32 @@ class Launcher:
         }
         return Child(f"worker {shard}", "chachart.node.runtime.worker", settings)
 
+    def _security(self) -> dict[str, Any]:
+        told: dict[str, Any] = self._plan.security.model_dump(mode="json", exclude={"token", "read_token"})
+        return told
+
+    def _gathered(self, ended: tuple[bool, ...]) -> dict[str, Any]:
+        """The source that several are for the feeder process."""
+        feeds = self._plan.feeds
+        opened = [feed.source(feed.settings, feed.arrays[0]) for feed in feeds]
+        settings = {
+            "type": "several",
+            "endpoints": [self._links.of_source(number) for number in range(len(feeds))],
+            "names": [feed.name for feed in feeds],
+            "lossless": all(source.lossless for source in opened),
+            "in_step": all(feed.source.lossless for feed in feeds),
+            "ended": ended,
+            "tally": self._common["directory"] + "/taken",
+        }
+        return {"class": class_path(GatheredSources), "settings": settings}
+
     def quality(self) -> Child:
         """Start the process that assesses charts."""
         settings = {**self._common, "quality": self._endpoints["quality"]}
         child = Child("quality", "chachart.node.runtime.quality_watch", settings)
         child.yield_to_others()
         return child
+
+
+def _source(feed: Feed) -> dict[str, Any]:
+    return {"class": class_path(feed.source), "settings": feed.settings.model_dump(mode="json")}

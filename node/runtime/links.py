@@ -43,6 +43,10 @@ class Links:
         self._commands.connect(self.endpoints["commands"])
         self._lock = threading.Lock()
 
+    def of_source(self, number: int) -> str:
+        """Where one of several source processes meets the feeder process."""
+        return f"ipc://{self.directory / f's{number}'}"
+
     def receive(self, timeout: float) -> list[list[bytes]]:
         """The results that are there, after waiting at most `timeout` seconds for the first."""
         received: list[list[bytes]] = []

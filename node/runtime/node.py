@@ -24,6 +24,7 @@ from chachart.node.runtime.plan import Plan
 from chachart.node.runtime.quality_watch import QualityWatch
 from chachart.node.runtime.report import Reporter
 from chachart.node.runtime.requests import PendingRequests, chart_columns, checked_method, ue_list
+from chachart.node.runtime.source_processes import SourceProcesses
 from chachart.node.runtime.status import NodeStatus, summary
 from chachart.node.runtime.supervisor import SupervisedChild, Supervisor
 
@@ -61,20 +62,18 @@ class Node:
             raise
         self._launch = Launcher(plan, self._links, log_level, self._kept.folder)
         self._collector = Collector(plan.estimator)
-        self._quality = QualityWatch(
-            plan.quality,
-            self.chart,
-            lambda report: self._collector.report("quality", report),
-            self._launch.quality,
-            self._links.endpoints["quality"],
-        )
+        report, endpoint = partial(self._collector.report, "quality"), self._links.endpoints["quality"]
+        self._quality = QualityWatch(plan.quality, self.chart, report, self._launch.quality, endpoint)
         self._pending = PendingRequests(lambda values: self._links.command(messages.REQUEST, values))
         self._workers = Supervisor(
             SupervisedChild(f"worker {s}", partial(self._launch.worker, s), partial(self._worker_died, s))
             for s in range(plan.workers.count)
         )
+        self._sources = SourceProcesses(plan, self._launch.source)
+        self._children = Supervisor([*self._workers.children, *self._sources.children])
         self._feeder = FeederProcess(self._start_feeder, self._launch.tally, self._feeder_died)
-        self._reporter = Reporter(plan, self._collector, self._feeder, self._workers, self._quality)
+        parts = self._collector, self._feeder, self._workers, self._sources, self._quality
+        self._reporter = Reporter(plan, *parts)
         self._method: dict[str, str] = {"theta": plan.estimator.theta, "rho": plan.estimator.rho}
         self._state = "starting"
         self._notifier = Notifier()
@@ -99,12 +98,11 @@ class Node:
         try:
             self._resume()
             self._feeder.check()
-            self._workers.check()
+            self._children.check()
             self._collector.open_sinks(self._plan, self)
             self._thread.start()
             if not self._ready.wait(START_WITHIN_S):
-                source = self._plan.source_settings.type
-                raise SetupError(f'source "{source}" did not open within {START_WITHIN_S:.0f} s')
+                raise SetupError(f"{self._plan.sources} did not open within {START_WITHIN_S:.0f} s")
             if self._setup_error is not None:
                 raise SetupError(self._setup_error)
             self._links.command(messages.GO, {})
@@ -140,7 +138,7 @@ class Node:
 
     def kill(self) -> None:
         """End all child processes at once; a node that is killed leaves no summary."""
-        self._workers.kill()
+        self._children.kill()
         self._quality.kill()
         self._feeder.supervised.kill()
         self._links.remove_directory()
@@ -231,6 +229,9 @@ class Node:
             self._workers.children[values["shard"]].kill_hung(values["pid"])
         elif kind == messages.READY:
             self._feeder_ready(values["lossless"])
+        elif kind == messages.SOURCE_READY:
+            self._sources.is_ready(values["source"])
+            self._all_ready()
         elif kind == messages.STARTED:
             self._feeder.started = True
             self._started_at = self._started_at or time.monotonic()
@@ -249,6 +250,7 @@ class Node:
             self._method = method
             log.info("theta by %s, rho by %s from now on", method["theta"], method["rho"])
         self._feeder.heard(values)
+        self._sources.look(values)
 
     def _feeder_ready(self, lossless: bool) -> None:
         self._collector.clock.live = not lossless
@@ -256,7 +258,11 @@ class Node:
         self._feeder.supervised.is_up()
         if self._ready.is_set():  # it is not the first one: nobody else says go
             self._links.command(messages.GO, {})
-        self._ready.set()
+        self._all_ready()
+
+    def _all_ready(self) -> None:
+        if self._feeder.ready and self._sources.ready:
+            self._ready.set()
 
     def _setup_failed(self, message: str) -> None:
         """The source or a CSI sink cannot be opened: the end at the start, tried again later."""
@@ -267,7 +273,7 @@ class Node:
             self._give_up(message)
 
     def _start_feeder(self, counted: dict[str, Any] | None) -> Child:
-        return self._launch.feeder(self._method, counted)
+        return self._launch.feeder(self._method, counted, self._sources.done)
 
     def _feeder_died(self) -> None:
         """Take what it had still sent. One that fails before it is ready would again; to drain takes one."""
@@ -299,7 +305,7 @@ class Node:
     def _look_after_children(self) -> None:
         if self._finished.is_set():
             return
-        reason = self._workers.check() or self._feeder.check() or self._quality.failure
+        reason = self._children.check() or self._feeder.check() or self._quality.failure
         if self._finished.is_set():
             return
         if reason is not None:
@@ -311,12 +317,8 @@ class Node:
         """End without a drain; what is not accounted for is counted as dropped."""
         self.failure = reason
         self._setup_error = self._setup_error or reason
-        fed = self._feeder.status
-        if fed:
-            lost = fed["frames_in"] - fed["frames_estimated"] - sum(fed["dropped"].values())
-            fed["dropped"] = {**fed["dropped"], "node_failed": lost}
-        self._feeder.supervised.kill()
-        self._workers.kill()
+        self._feeder.abandon()
+        self._children.kill()
         self._end()
 
     def _end(self) -> None:
@@ -338,7 +340,7 @@ class Node:
         if self._feeder.supervised.child is not None:
             self._feeder.supervised.child.close(CLOSE_WITHIN_S)
         self._kept.close()
-        self._workers.close(WORKERS_CLOSE_WITHIN_S)
+        self._children.close(WORKERS_CLOSE_WITHIN_S)
         if self._thread.ident is not None:
             self._thread.join()
         self._links.close()

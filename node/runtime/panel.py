@@ -33,6 +33,7 @@ def panel(status: dict[str, Any], width: int = 120) -> Panel:
     parts: list[RenderableType] = [figures, Text()]
     if status["reason"]:
         parts += [Text(words(status), "red"), Text()]
+    parts += [_source(source) for source in status["sources"]]
     parts += [_worker(worker) for worker in status["workers"]]
     parts += [
         Text.assemble((f"{sink['name']} ", "dim"), sink["where"], _lost(sink))
@@ -124,6 +125,16 @@ def _worker(worker: dict[str, Any]) -> Text:
         else f"process {worker['pid']}",
         f", {worker['ues']:,} UEs, backlog {worker.get('backlog_frames', 0):,}, ",
         f"restarts {worker['restarts']}",
+    )
+
+
+def _source(source: dict[str, Any]) -> Text:
+    absent = source["pid"] is None and not source["ended"]
+    return Text.assemble(
+        (f"array {source['name']} ", "dim"),
+        f"source {source['type']}, {source['frames']:,} frames",
+        (", restarting", "yellow") if absent else "",
+        f", restarts {source['restarts']}",
     )
 
 

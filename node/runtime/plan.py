@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from chachart.config.load import NodeSettings
+from chachart.config.pairing import FeedSettings
 from chachart.config.registry import sink_class, source_class
 from chachart.config.settings import (
     TIME_TOLERANCE_S,
@@ -32,15 +33,46 @@ BLOCK_BYTES = 32 * 1024 * 1024
 
 
 @dataclass(frozen=True, slots=True)
+class Feed:
+    """A source with its settings, and the arrays whose frames it gives."""
+
+    source: type[Source]
+    settings: SourceSettings
+    arrays: tuple[ArrayGeometry, ...]
+
+    @property
+    def name(self) -> str:
+        """What people call it: its arrays."""
+        return ", ".join(array.name for array in self.arrays)
+
+    @classmethod
+    def of(cls, settings: FeedSettings) -> Feed:
+        """The feed that carries out `settings`.
+
+        Raises
+        ------
+        SetupError
+            If there is no such source, or its arrays are not clear.
+        """
+        source = source_class(settings.source.type)
+        if len(settings.arrays) > 1:
+            return cls(source, settings.source, tuple(_described(array) for array in settings.arrays))
+        first = resolve_array(next(iter(settings.arrays), None), source, settings.source)
+        return cls(source, settings.source, (first, *source.carried_others(settings.source)))
+
+
+@dataclass(frozen=True, slots=True)
 class Plan:
     """Everything a node needs to start.
 
     Attributes
     ----------
     array, others
-        The one from `[array]`, or the one that the source carries; further ones that it carries.
+        The first array, and all others.
     source, source_settings, sinks
-        Classes with their settings.
+        Classes with their settings; the source is the first one.
+    further
+        The sources after the first, each with its arrays.
     estimator, workers, quality, state, security, fusion, tracking
         The other sections of the configuration.
     time_tolerance_s
@@ -60,6 +92,7 @@ class Plan:
     others: tuple[ArrayGeometry, ...] = ()
     fusion: FusionOptions = field(default_factory=FusionOptions)
     tracking: TrackingOptions = field(default_factory=TrackingOptions)
+    further: tuple[Feed, ...] = ()
 
     @classmethod
     def of(cls, settings: NodeSettings) -> Plan:
@@ -70,27 +103,45 @@ class Plan:
         SetupError
             If a source or sink is unknown, or the array is not clear.
         """
-        source = source_class(settings.source.type)
+        first, *further = [Feed.of(feed) for feed in settings.feeds]
+        estimator = settings.estimator
+        for feed in (first, *further):
+            estimator = estimator.obeying(feed.source.carried_facts(feed.settings))
+        arrays = [array for feed in (first, *further) for array in feed.arrays]
+        tolerances = [array.time_tolerance_s for feed in settings.feeds for array in feed.arrays]
         return cls(
-            resolve_array(settings.array, source, settings.source),
-            source,
-            settings.source,
-            settings.estimator.obeying(source.carried_facts(settings.source)),
+            first.arrays[0],
+            first.source,
+            first.settings,
+            estimator,
             settings.workers,
             settings.quality,
             settings.state,
             tuple((sink_class(sink.type), sink) for sink in settings.sinks),
             settings.security,
-            TIME_TOLERANCE_S if settings.array is None else settings.array.time_tolerance_s,
-            source.carried_others(settings.source),
+            max(tolerances, default=TIME_TOLERANCE_S),
+            tuple(arrays[1:]),
             settings.fusion,
             settings.tracking,
+            tuple(further),
         )
+
+    @property
+    def feeds(self) -> tuple[Feed, ...]:
+        """All sources, each with its arrays."""
+        own = len(self.others) - sum(len(feed.arrays) for feed in self.further)
+        return (Feed(self.source, self.source_settings, (self.array, *self.others[:own])), *self.further)
+
+    @property
+    def sources(self) -> str:
+        """What the sources are called in messages."""
+        return " and ".join(f'source "{name}"' for name in dict.fromkeys(f.settings.type for f in self.feeds))
 
     def problems(self) -> list[str]:
         """What would keep the node from starting, as far as can be told without starting it."""
-        found = [*security_problems(self.security), *self.source_settings.exposure(self.security)]
-        found += self.source.problems(self.source_settings)
+        found = [*security_problems(self.security)]
+        for feed in self.feeds:
+            found += [*feed.settings.exposure(self.security), *feed.source.problems(feed.settings)]
         for sink, settings in self.sinks:
             found += settings.exposure(self.security) + sink.problems(settings)
         found += self._shared_endpoints()
@@ -104,8 +155,6 @@ class Plan:
             estimator_of(self.array, self.estimator.keywords() | {"max_ues": 1}, self.several())
         except ValueError as error:
             yield f"[fusion]: {error}"
-        if any(sink.wants_csi for sink, _ in self.sinks) and self.others:
-            yield "frames of several arrays cannot be recorded by a node yet: leave the recorder out"
 
     def _state_problems(self) -> Iterator[str]:
         directory = self.state.directory
@@ -120,7 +169,7 @@ class Plan:
     def _shared_endpoints(self) -> Iterator[str]:
         """Endpoints that are free now, but that two parts of this node want to listen on."""
         taken: dict[str, str] = {}
-        parts: list[SourceSettings | SinkSettings] = [self.source_settings]
+        parts: list[SourceSettings | SinkSettings] = [feed.settings for feed in self.feeds]
         parts += [settings for _, settings in self.sinks]
         for part in parts:
             endpoint = part.listens_on()
@@ -132,7 +181,8 @@ class Plan:
     @property
     def block_frames(self) -> int:
         """Frames in a block; never more than the UEs that a worker may hold, or than a message should."""
-        fit = max(1, BLOCK_BYTES // (8 * self.array.antennas * self.array.subcarriers))
+        largest = max(array.antennas * array.subcarriers for array in (self.array, *self.others))
+        fit = max(1, BLOCK_BYTES // (8 * largest))
         return min(self.workers.block_frames, int(self.worker_estimator()["max_ues"]), fit)
 
     def several(self) -> dict[str, Any] | None:
@@ -141,7 +191,8 @@ class Plan:
             return None
         fusion = self.fusion.model_dump(mode="json")
         if self.fusion.area_m is None and self.fusion.outline_m is None:
-            fusion["area_m"] = self.source.carried_area(self.source_settings)
+            areas = (feed.source.carried_area(feed.settings) for feed in self.feeds)
+            fusion["area_m"] = next((area for area in areas if area is not None), None)
         return {
             "others": [other.as_dict() for other in self.others],
             "fusion": fusion,
@@ -181,10 +232,7 @@ def resolve_array(
                 f'[array] is missing: source "{source_settings.type}" does not say what array it has'
             )
         return carried
-    try:
-        array = replace(configured.geometry(), calibration=configured.correction())
-    except ValueError as error:
-        raise SetupError(f"[array]: {error}") from None
+    array = _described(configured)
     if carried is not None and configured.element_spacing_m is None and array.is_line:
         half_wave = array.wavelength_m / 2  # of the carrier: what went without saying in older recordings
         if math.isclose(carried.element_spacing_m, half_wave, rel_tol=1e-6):
@@ -197,6 +245,13 @@ def resolve_array(
     return array if carried is None else array.completed(carried)
 
 
+def _described(configured: ArraySettings) -> ArrayGeometry:
+    try:
+        return replace(configured.geometry(), calibration=configured.correction())
+    except ValueError as error:
+        raise SetupError(f"[array] {configured.name}: {error}") from None
+
+
 def check(settings: NodeSettings) -> list[str]:
     """Every mistake in `settings` that can be told without starting the node."""
     try:
@@ -207,8 +262,9 @@ def check(settings: NodeSettings) -> list[str]:
 
 def _problems_apart_from_array(settings: NodeSettings) -> Iterator[str]:
     yield from security_problems(settings.security)
-    yield from settings.source.exposure(settings.security)
-    yield from source_class(settings.source.type).problems(settings.source)
+    for feed in settings.feeds:
+        yield from feed.source.exposure(settings.security)
+        yield from source_class(feed.source.type).problems(feed.source)
     for sink in settings.sinks:
         yield from sink.exposure(settings.security)
         yield from sink_class(sink.type).problems(sink)

@@ -10,6 +10,7 @@ from chachart.node.runtime.condition import ConditionWatch
 from chachart.node.runtime.feeder_process import FeederProcess
 from chachart.node.runtime.plan import Plan
 from chachart.node.runtime.quality_watch import QualityWatch
+from chachart.node.runtime.source_processes import SourceProcesses
 from chachart.node.runtime.status import NodeStatus, Rates
 from chachart.node.runtime.supervisor import Supervisor
 
@@ -19,7 +20,7 @@ class Reporter:
 
     Parameters
     ----------
-    plan, collector, feeder, workers, quality
+    plan, collector, feeder, workers, sources, quality
         The parts.
     """
 
@@ -29,12 +30,14 @@ class Reporter:
         collector: Collector,
         feeder: FeederProcess,
         workers: Supervisor,
+        sources: SourceProcesses,
         quality: QualityWatch,
     ) -> None:
         self._plan = plan
         self._collector = collector
         self._feeder = feeder
         self._workers = workers
+        self._sources = sources
         self._quality = quality
         self._rates = Rates()
         self._condition = ConditionWatch()
@@ -51,6 +54,7 @@ class Reporter:
             state=state,
             array=self._plan.array.name,
             source=self._plan.source_settings.type,
+            sources=self._sources.reports(fed),
             method=method,
             lossless=not self._collector.clock.live,
             seconds=seconds,

@@ -73,6 +73,9 @@ class NodeStatus:
         How the antennas do: `chachart.node.estimation.antennas.AntennaWatch.report`.
     source_details
         What the source tells about itself.
+    sources
+        Where there are several, one map each: {name (its arrays), type, pid, restarts, live, frames, quiet_s
+        (since its last frame), ended, details}; pid is None while there is no process.
     """
 
     state: str = "starting"
@@ -113,6 +116,7 @@ class NodeStatus:
     feeder_restarts: int = 0
     antennas: dict[str, Any] = field(default_factory=dict)
     source_details: dict[str, Any] = field(default_factory=dict)
+    sources: list[dict[str, Any]] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values."""

@@ -36,6 +36,8 @@ class SupervisedChild:
         When it has died so often within a minute, it is given up; None: never for that.
     starts_over
         With this exit code it asks to be started again at once, which is no death.
+    tenacious
+        Whether one that has ever come up is started again however often it dies before it comes up.
 
     Attributes
     ----------
@@ -54,6 +56,7 @@ class SupervisedChild:
         on_death: Callable[[int], None],
         most_deaths: int | None = None,
         starts_over: int | None = None,
+        tenacious: bool = False,
     ) -> None:
         self.name = name
         self.child: Child | None = None
@@ -63,6 +66,8 @@ class SupervisedChild:
         self._on_death = on_death
         self._most_deaths = most_deaths
         self._starts_over = starts_over
+        self._tenacious = tenacious
+        self._ever_up = False
         self._up = False
         self._started = 0.0
         self._start_at = 0.0
@@ -82,7 +87,7 @@ class SupervisedChild:
         if self.child is not None and not self._up and now - self._started > UP_WITHIN_S:
             log.error("%s (process %d) did not come up within %.0f s", self.name, self.child.pid, UP_WITHIN_S)
             self.child.kill()
-        if self._stillborn >= STILLBORN_LIMIT:
+        if self._stillborn >= STILLBORN_LIMIT and not (self._tenacious and self._ever_up):
             return f"{self.name} cannot start: it died {self._stillborn} times in a row"
         if self._most_deaths is not None and len(self._deaths) >= self._most_deaths:
             return f"{self.name} died {len(self._deaths)} times within a minute"
@@ -96,7 +101,12 @@ class SupervisedChild:
 
     def is_up(self) -> None:
         """It has come up."""
-        self._stillborn, self._up = 0, True
+        self._stillborn, self._up, self._ever_up = 0, True, True
+
+    @property
+    def is_done(self) -> bool:
+        """Whether it has ended as it was told to."""
+        return self.child is not None and self.child.exit_code() == 0
 
     def kill_hung(self, pid: int) -> None:
         """End it, if it is still that process: it lives but does nothing."""

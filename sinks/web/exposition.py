@@ -72,10 +72,26 @@ class _Collector(Collector):
             yield _by_label(f"chachart_{key}", f"{text}, by reason.", "reason", status[key])
         yield GaugeMetricFamily("chachart_ues", "UEs on the chart.", value=status["ues"])
         yield _latency(status["latency_histogram"])
+        yield from self._sources()
         yield from self._workers()
         yield from self._sinks()
         yield from self._quality()
         yield from self._antennas()
+
+    def _sources(self) -> Iterator[Metric]:
+        """Of several sources each."""
+        frames = CounterMetricFamily("chachart_source_frames", "Frames of a source.", labels=["arrays"])
+        restarts = CounterMetricFamily(
+            "chachart_source_restarts", "Times a source had to be started again.", labels=["arrays"]
+        )
+        quiet = GaugeMetricFamily(
+            "chachart_source_quiet_seconds", "Since the last frame of a source.", labels=["arrays"]
+        )
+        for source in self._status["sources"]:
+            frames.add_metric([source["name"]], source["frames"])
+            restarts.add_metric([source["name"]], source["restarts"])
+            quiet.add_metric([source["name"]], source["quiet_s"])
+        yield from (frames, restarts, quiet)
 
     def _workers(self) -> Iterator[Metric]:
         workers = self._status["workers"]

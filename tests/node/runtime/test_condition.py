@@ -10,6 +10,9 @@ from chachart.node.runtime.status import NodeStatus
 WORKER = {"shard": 0, "pid": 11, "restarts": 0, "ues": 3}
 
 
+SOURCE = {"name": "east", "type": "zmq", "pid": 9, "live": True, "quiet_s": 0.0, "ended": False}
+
+
 def status(**changes: Any) -> dict[str, Any]:
     values = {"state": "running", "source": "zmq", "frames_in": 100, "feeder_pid": 10, "workers": [WORKER]}
     return NodeStatus(**(values | changes)).as_dict()
@@ -58,6 +61,12 @@ def test_starting_says_who_is_missing() -> None:
         ({"workers": [{**WORKER, "snapshot_error": "Read-only file system"}]}, "Read-only", "[state]"),
         ({"state_error": "/state cannot be written to: No space"}, "/state cannot be written", "[state]"),
         ({"workers": [{**WORKER, "untrained": 5}]}, '"lr" is not trained', "known positions"),
+        (
+            {"sources": [{**SOURCE, "quiet_s": 3.4}, {**SOURCE, "name": "west"}]},
+            "array east: nothing for 3 s",
+            "source zmq",
+        ),
+        ({"sources": [{**SOURCE, "pid": None}]}, "array east: its source is being restarted", "log"),
         ({"relative": True}, '"isq" has no scale', "isq_reference"),
         ({"antennas": {"faults": {"3": "dead"}}}, "antennas: 3 dead", "dead_antennas"),
     ],
