@@ -28,6 +28,9 @@ class CsiBlock:
         complex64 (K, N_R antennas, N_S subcarriers).
     position
         float32 (K, 3), known reference positions in metres, NaN where unknown; None if none is known.
+    packet
+        uint64 (K,), a number that frames of one transmission share at all arrays, as a sender's sequence
+        number, 0 where there is none; None if none has one.
 
     Raises
     ------
@@ -41,6 +44,7 @@ class CsiBlock:
     time_ns: NDArray[np.int64]
     csi: NDArray[np.complex64]
     position: NDArray[np.float32] | None = None
+    packet: NDArray[np.uint64] | None = None
 
     def __post_init__(self) -> None:
         k = len(self.ue)
@@ -49,6 +53,7 @@ class CsiBlock:
             ("time_ns", self.time_ns, np.int64, (k,)),
             ("csi", self.csi, np.complex64, (k, *self.csi.shape[1:])),
             ("position", self.position, np.float32, (k, 3)),
+            ("packet", self.packet, np.uint64, (k,)),
         ]
         for name, value, dtype, shape in expected:
             if value is not None and (value.dtype != dtype or value.shape != shape):
@@ -80,7 +85,9 @@ class CsiBlock:
     def take(self, index: NDArray[Any]) -> CsiBlock:
         """The frames that `index` (integers or a mask) picks, in that order."""
         position = None if self.position is None else self.position[index]
-        return CsiBlock(self.array, self.seq, self.ue[index], self.time_ns[index], self.csi[index], position)
+        packet = None if self.packet is None else self.packet[index]
+        ue, time_ns = self.ue[index], self.time_ns[index]
+        return CsiBlock(self.array, self.seq, ue, time_ns, self.csi[index], position, packet)
 
     def cut(self, start: int, stop: int) -> CsiBlock:
         """Frames `start` to `stop` as views, numbered as they were."""
@@ -88,9 +95,9 @@ class CsiBlock:
             return self
         rows = slice(start, stop)
         position = None if self.position is None else self.position[rows]
-        return CsiBlock(
-            self.array, self.seq + start, self.ue[rows], self.time_ns[rows], self.csi[rows], position
-        )
+        packet = None if self.packet is None else self.packet[rows]
+        ue, time_ns = self.ue[rows], self.time_ns[rows]
+        return CsiBlock(self.array, self.seq + start, ue, time_ns, self.csi[rows], position, packet)
 
     @classmethod
     def of(
@@ -144,6 +151,11 @@ class CsiBlock:
                     for b in blocks
                 ]
             )
+        packet = None
+        if any(b.packet is not None for b in blocks):
+            packet = np.concatenate(
+                [np.zeros(len(b), np.uint64) if b.packet is None else b.packet for b in blocks]
+            )
         return CsiBlock(
             first.array,
             first.seq,
@@ -151,6 +163,7 @@ class CsiBlock:
             np.concatenate([b.time_ns for b in blocks]),
             np.concatenate([b.csi for b in blocks]),
             position,
+            packet,
         )
 
 

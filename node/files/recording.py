@@ -46,7 +46,8 @@ _HEAD = "chachart.csi"
 _TOTALS = "chachart.totals"
 _SCHEMA = b"""A msgpack map: v (1), type ("csi"), array (str), seq (int, number of the first frame),
 shape ([frames, antennas, subcarriers]), dtype ("<c8"), ue (bin, <u8 a frame), time_ns (bin, <i8 a frame),
-position (bin, three <f4 a frame, metres; may be absent), csi (bin, the samples in the order of shape).
+position (bin, three <f4 a frame, metres; may be absent), packet (bin, <u8 a frame, shared by the frames of a
+transmission at all arrays; may be absent), csi (bin, the samples in the order of shape).
 """
 
 

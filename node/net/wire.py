@@ -183,6 +183,8 @@ def _csi_header(block: CsiBlock) -> dict[str, Any]:
     }
     if block.position is not None:
         header["position"] = _raw(block.position, "<f4")
+    if block.packet is not None:
+        header["packet"] = _raw(block.packet, "<u8")
     return header
 
 
@@ -207,6 +209,7 @@ def _csi_block(header: Mapping[str, Any], raw: Buffer) -> CsiBlock:
     position = None
     if "position" in header:
         position = _column(header, "position", "<f4", frames * 3).reshape(frames, 3)
+    packet = _column(header, "packet", "<u8", frames) if "packet" in header else None
     return CsiBlock(
         array,
         seq,
@@ -214,6 +217,7 @@ def _csi_block(header: Mapping[str, Any], raw: Buffer) -> CsiBlock:
         _column(header, "time_ns", "<i8", frames),
         csi,
         position,
+        packet,
     )
 
 

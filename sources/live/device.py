@@ -61,12 +61,15 @@ class Frame:
         complex64 (N_R antennas, N_S subcarriers).
     lost
         Transmissions that are known to be missing right before this one.
+    packet
+        A number that all arrays that heard the transmission give it, 0 where there is none.
     """
 
     ue: int
     time_ns: int
     csi: NDArray[np.complex64]
     lost: int = 0
+    packet: int = 0
 
 
 class Connection(ABC):
@@ -247,12 +250,14 @@ class DeviceSource(Source):
             self.rejected.add("shape", len(frames) - len(fitting))
         if not fitting:
             return None
+        packets = np.array([frame.packet for frame in fitting], np.uint64)
         block = CsiBlock(
             self.array.name,
             self._next_seq + sum(frame.lost for frame in fitting),
             np.array([frame.ue for frame in fitting], np.uint64),
             np.array([frame.time_ns for frame in fitting], np.int64),
             np.stack([frame.csi for frame in fitting]).astype(np.complex64, copy=False),
+            packet=packets if packets.any() else None,
         )
         good = usable(block, self.rejected)
         self._next_seq = block.seq + (0 if good is None else len(good))

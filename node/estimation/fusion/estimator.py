@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, Final, cast
 
 import numpy as np
@@ -130,7 +131,7 @@ class FusedEstimator:
             return []
         self.heard.add(block.array, len(good))
         csi = receiver.prepared(good.csi)
-        self._gathering.add(number, CsiBlock(good.array, good.seq, good.ue, good.time_ns, csi, good.position))
+        self._gathering.add(number, replace(good, csi=csi))
         return list(self._every())
 
     def newest(self, updates: Sequence[ChartUpdate] | Iterator[ChartUpdate]) -> ChartUpdate:

@@ -14,6 +14,10 @@ Complex = NDArray[np.complex64]
 
 LATEST_MS = 500.0
 """Frames of an array that lags behind the others by more than this do not join theirs."""
+LATE_MS = 100.0
+"""An array that has gone on by so much has not received what is missing of it."""
+SILENT_MS = 2000.0
+"""An array that nobody has heard of for so long is not waited for."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,8 @@ class Gathering:
     shapes
         Antennas and tones of each array.
     window_ms
-        Frames of a UE that follow each other within this time are of one transmission.
+        Frames of a UE that follow each other within this time are of one transmission, where they do not say
+        by a number (`CsiBlock.packet`) of which they are.
     """
 
     def __init__(self, shapes: Sequence[tuple[int, int]], window_ms: float) -> None:
@@ -63,7 +68,9 @@ class Gathering:
         self._window_ns = round(window_ms * 1e6)
         self._patience_ns = round(max(LATEST_MS, 2 * window_ms) * 1e6)
         self._held: list[tuple[int, CsiBlock]] = []
+        self._late_ns = round(max(LATE_MS, 2 * window_ms) * 1e6)
         self._newest_ns = np.iinfo(np.int64).min
+        self._heard_ns: NDArray[np.int64] | None = None
 
     @property
     def held(self) -> int:
@@ -73,30 +80,50 @@ class Gathering:
     def add(self, array: int, block: CsiBlock) -> None:
         """Take the frames of an array (its number)."""
         self._held.append((array, block))
-        self._newest_ns = max(self._newest_ns, int(block.time_ns.max()))
+        newest = int(block.time_ns.max())
+        self._newest_ns = max(self._newest_ns, newest)
+        if self._heard_ns is None:
+            self._heard_ns = np.full(len(self._shapes), int(block.time_ns.min()))
+        self._heard_ns[array] = max(self._heard_ns[array], newest)
 
     def ready(self, everything: bool = False) -> Events | None:
         """Transmissions that are complete or overdue, or all there are; None if there is none."""
-        if not self._held:
+        if not self._held or self._heard_ns is None:
             return None
         ue = np.concatenate([block.ue for _, block in self._held])
         time_ns = np.concatenate([block.time_ns for _, block in self._held])
         array = np.repeat([a for a, _ in self._held], [len(block) for _, block in self._held])
-        order = np.lexsort((time_ns, ue))
-        later = np.diff(time_ns[order]) > self._window_ns
-        event = np.empty(len(ue), np.intp)
-        event[order] = np.concatenate([[0], np.cumsum(later | (ue[order][1:] != ue[order][:-1]))])
-        events = int(event.max()) + 1
-        heard = np.zeros((events, len(self._shapes)), np.bool_)
+        packet = np.concatenate(
+            [np.zeros(len(b), np.uint64) if b.packet is None else b.packet for _, b in self._held]
+        )
+        event, last = self._events(ue, packet, time_ns)
+        heard = np.zeros((len(last), len(self._shapes)), np.bool_)
         heard[event, array] = True
-        last = np.full(events, np.iinfo(np.int64).min)
-        np.maximum.at(last, event, time_ns)
+        heard |= self._heard_ns > last[:, None] + self._late_ns
+        heard |= self._heard_ns < self._newest_ns - SILENT_MS * 1e6
         done = heard.all(axis=1) | (last < self._newest_ns - self._patience_ns) | everything
         if not done.any():
             return None
         found = self._joined(event, done, ue, last)
         self._keep(~done[event])
         return found
+
+    def _events(
+        self, ue: NDArray[np.uint64], packet: NDArray[np.uint64], time_ns: NDArray[np.int64]
+    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+        """Of which transmission each frame is, in the order of UEs and times, and when it was heard last."""
+        order = np.lexsort((time_ns, packet, ue))
+        who, which, when = ue[order], packet[order], time_ns[order]
+        apart = np.where(which[1:] == 0, self._window_ns, self._patience_ns)
+        new = (np.diff(when) > apart) | (who[1:] != who[:-1]) | (which[1:] != which[:-1])
+        starts = np.concatenate([[0], np.flatnonzero(new) + 1])
+        last = np.append(when[starts[1:] - 1], when[-1])
+        ranked = np.lexsort((last, who[starts]))
+        rank = np.empty(len(ranked), np.intp)
+        rank[ranked] = np.arange(len(ranked))
+        event = np.empty(len(ue), np.intp)
+        event[order] = np.repeat(rank, np.diff(np.append(starts, len(ue))))
+        return event, last[ranked]
 
     def _joined(
         self,

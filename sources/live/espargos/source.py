@@ -306,4 +306,5 @@ class Stream(Connection):
             csi = csi * self._correction.factor
         time_ns = self._clock.observe(first.time_half_ns // 2, time.time_ns())
         lost, self._lost = self._lost, 0
-        return [Frame(first.source, time_ns, csi, lost)]
+        packet = 1 + (first.sequence << 1 | first.retry)
+        return [Frame(first.source, time_ns, csi, lost, packet)]

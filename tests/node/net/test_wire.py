@@ -49,6 +49,7 @@ def csi_blocks(draw: st.DrawFn) -> CsiBlock:
         draw(npst.arrays(np.int64, (k,))),
         draw(npst.arrays(np.complex64, shape)),
         position,
+        draw(st.none() | npst.arrays(np.uint64, (k,))),
     )
 
 

@@ -171,6 +171,48 @@ def test_late_frames_of_other_arrays_are_waited_for() -> None:
     assert (len(events), events.count[0], gathering.held) == (1, 2, 1)
 
 
+def test_numbers_of_packets_say_what_belongs_together() -> None:
+    gathering = Gathering([(2, 3), (2, 3)], 20.0)
+
+    def block(ms: list[int], packet: list[int]) -> CsiBlock:
+        times = np.array(ms) * 1_000_000
+        csi = np.ones((len(ms), 2, 3), np.complex64)
+        return CsiBlock("", 0, np.full(len(ms), 7, np.uint64), times, csi, packet=np.array(packet, np.uint64))
+
+    gathering.add(0, block([100, 110, 120], [9, 3, 4]))
+    assert gathering.ready() is None
+    gathering.add(1, block([135, 140], [9, 4]))  # its clock is late by more than packets follow each other
+    events = gathering.ready()
+    assert events is not None
+    assert events.time_ns.tolist() == [135_000_000, 140_000_000]
+    assert events.count.tolist() == [2, 2]
+    assert gathering.held == 1
+    gathering.add(1, block([700], [9]))  # numbers come again
+    left = gathering.ready()
+    assert left is not None
+    assert left.count.tolist() == [1]
+    assert gathering.held == 1
+
+
+def test_an_array_that_is_silent_or_has_gone_on_is_not_waited_for() -> None:
+    gathering = Gathering([(2, 3), (2, 3)], 20.0)
+
+    def add(array: int, ue: int, ms: int) -> int:
+        csi = np.ones((1, 2, 3), np.complex64)
+        block = CsiBlock("", 0, np.array([ue], np.uint64), np.array([ms * 1_000_000]), csi)
+        gathering.add(array, block)
+        events = gathering.ready()
+        return 0 if events is None else len(events)
+
+    assert add(0, 1, 0) == 0
+    assert add(1, 2, 90) == 0
+    assert add(1, 3, 101) == 1  # UE 1, which array 1 would have been heard of by now
+    assert add(0, 1, 150) == 0
+    found = [add(0, 1, ms) for ms in range(250, 4000, 100)]
+    assert found[-1] == 1
+    assert gathering.held == 0  # nobody waits for array 1 any more
+
+
 def test_arrays_need_names_of_their_own(arrays: list[ArrayGeometry]) -> None:
     with pytest.raises(ValueError, match="different names"):
         FusedEstimator([arrays[0], arrays[0]])
