@@ -151,8 +151,8 @@ class Dispatcher:
         if self._stop_at is not None and time.monotonic() >= self._stop_at:
             self._abandon()
             return True
-        if not self._started:
-            return self._stop_at is not None
+        if not self._started:  # what an earlier feeder had read is still passed on
+            return self._stop_at is not None and self._settings["counted"] is None
         return self._reader.ended and self._queues.empty
 
     def _abandon(self) -> None:
@@ -261,8 +261,7 @@ class Dispatcher:
                 self._requests.handle(values)
 
     def _start_when_ready(self) -> None:
-        ready = self._go and not self._started and self._stop_at is None
-        if ready and all(peer is not None for peer in self._links.peers):
+        if self._go and not self._started and all(peer is not None for peer in self._links.peers):
             self._go_on()
             self._started = True
             self._reader.start()
@@ -284,8 +283,9 @@ class Dispatcher:
         counted = {"frames_in": 0, "blocks_in": 0, "rejected": {}, "gaps": 0, "out_of_order": 0} | (
             counted or {}
         )
-        mark = self._snapshots.oldest_mark
+        mark, read_before = self._snapshots.oldest_mark, counted["frames_in"]
         if self._source.position() is None:
+            read_before = 0  # gone is gone
             mark, applied = Mark(max((frame for *_, frame in applied), default=0), None), []
             lost = counted["frames_in"] - self._queues.accounted()
             if lost > 0:
@@ -295,7 +295,7 @@ class Dispatcher:
             self._source.resume(mark.position)
         counted["frames_in"] = self._queues.accounted()
         log.info("reading goes on at frame %d", mark.frame)
-        self._reader.go_on(mark, applied, counted)
+        self._reader.go_on(mark, applied, counted, read_before)
 
     def _worker_lost(self, shard: int) -> None:
         self._links.peers[shard] = None

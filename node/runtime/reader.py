@@ -109,7 +109,7 @@ class Reader:
         self._tally = tally
         self._tolerance_ns = math.inf if source.lossless else time_tolerance_s * 1e9
         self._details_failed = False
-        self._number = 0
+        self._number = self._read_before = 0
         self._applied: Applied = []
         self._applied_below = 0
         self._next_mark = 0.0
@@ -117,7 +117,7 @@ class Reader:
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="reader", daemon=True)
 
-    def go_on(self, mark: Mark, applied: Applied, counted: dict[str, Any]) -> None:
+    def go_on(self, mark: Mark, applied: Applied, counted: dict[str, Any], read_before: int = 0) -> None:
         """Before `start`: the source goes on at a mark, what is in a state already is left out.
 
         Parameters
@@ -128,10 +128,14 @@ class Reader:
             What not to read again.
         counted
             The counts of who read before, as `status` gives them.
+        read_before
+            So many frames had been read: those and what was applied are read even after `stop`, so that all
+            UEs are at the same frame.
         """
         self._number = self.passed_on = mark.frame
         self._applied = applied
         self._applied_below = max((frame for _, _, frame in applied), default=0)
+        self._read_before = max(read_before, self._applied_below)
         self.frames_in, self.blocks_in = counted["frames_in"], counted["blocks_in"]
         self.rejected.merge(counted["rejected"])
         self.order.merge({reason: counted[reason] for reason in ORDER})
@@ -149,7 +153,8 @@ class Reader:
         return self._thread.ident is not None and not self._thread.is_alive()
 
     def join(self, timeout: float) -> None:
-        self._thread.join(timeout)
+        if self._thread.ident is not None:
+            self._thread.join(timeout)
 
     def status(self) -> dict[str, Any]:
         """Counts for the node's status report."""
@@ -179,7 +184,7 @@ class Reader:
 
     def _run(self) -> None:
         try:
-            while not self._stopping.is_set():
+            while not self._stopping.is_set() or self._number < self._read_before:
                 self._step()
         except EndOfSource:
             log.info("the source has ended")

@@ -101,6 +101,6 @@ class Reporter:
         children = self._workers.children
         known = self._feeder.status.get("workers") or [{} for _ in children]
         return [
-            {"shard": shard, "restarts": child.restarts, "pid": None, "ues": 0, **worker}
+            {"shard": shard, "ues": 0, **worker, "restarts": child.restarts, "pid": child.pid}
             for shard, (child, worker) in enumerate(zip(children, known, strict=True))
         ]

@@ -75,6 +75,12 @@ class SupervisedChild:
         self._stillborn = 0
         self._deaths: deque[float] = deque()
 
+    @property
+    def pid(self) -> int | None:
+        """Its process id, None while there is none that has come up."""
+        child = self.child
+        return None if child is None or not self._up else child.pid
+
     def check(self) -> str | None:
         """Start it, or see whether it lives; gives a reason to give up, if there is one.
 

@@ -22,20 +22,20 @@ from chachart.node.runtime.plan import Plan
 from chachart.sources.recording import Recording, RecordingSettings
 from chachart.sources.simulator import Simulator, SimulatorSettings
 
-LOOPS = 40
-FRAMES = 1000 * LOOPS
+AFTER = 8000
+"""Frames between disturbances. The capture is played for ever, so that none of them comes too late."""
 
 MakeNode = Callable[..., Node]
 RunNode = Callable[..., Running]
 
 
-@pytest.fixture(scope="module")
-def undisturbed() -> ChartUpdate:
-    """The chart that the library makes of the same frames."""
-    estimator = ChartEstimator(ARRAY, averaging="mean")
-    frames = CsiBlock.concatenate(capture_blocks())
-    for _ in range(LOOPS):
-        update = estimator.update(frames)
+def undisturbed(frames: int) -> ChartUpdate:
+    """The chart that the library makes of as many frames."""
+    estimator, loop = ChartEstimator(ARRAY, averaging="mean"), CsiBlock.concatenate(capture_blocks())
+    loops, rest = divmod(frames, len(loop))
+    for _ in range(loops - 1):
+        estimator.update(loop)
+    update = estimator.update(CsiBlock.concatenate([loop, loop.cut(0, rest)]) if rest else loop)
     return update.take(np.argsort(update.ue))
 
 
@@ -45,7 +45,7 @@ def make_node(capture: Path) -> Iterator[MakeNode]:
     nodes = []
 
     def make(count: int = 2, source: Any = None, **state: Any) -> Node:
-        source = source or (Recording, RecordingSettings(path=capture, speed=20, loops=LOOPS))
+        source = source or (Recording, RecordingSettings(path=capture, speed=20, loops=0))
         node = Node(
             Plan(
                 ARRAY,
@@ -67,8 +67,14 @@ def make_node(capture: Path) -> Iterator[MakeNode]:
             node.close()
 
 
-def assert_same_chart(node: Node, expected: ChartUpdate) -> None:
-    chart = node.chart()
+def stop_and_compare(node: Node) -> dict[str, Any]:
+    """End it: nothing is lost, and the chart is that of an undisturbed run."""
+    node.stop()
+    summary = finish(node)
+    assert summary["frames_in"] == summary["frames_estimated"]
+    assert summary["dropped"] == {}
+    assert (summary["state_lost"], summary["ues_reset"]) == (0, 0)
+    chart, expected = node.chart(), undisturbed(summary["frames_in"])
     assert chart is not None
     chart = chart.take(np.argsort(chart.ue))
     np.testing.assert_array_equal(chart.ue, expected.ue)
@@ -78,19 +84,14 @@ def assert_same_chart(node: Node, expected: ChartUpdate) -> None:
     # Deviations are judged by what little a path leaves unexplained, which sums in single precision round in
     # the order of the blocks.
     for name in ("theta_std", "rho_std"):
-        np.testing.assert_allclose(chart.columns[name], expected.columns[name], rtol=1e-3, err_msg=name)
+        np.testing.assert_allclose(chart.columns[name], expected.columns[name], rtol=1e-2, err_msg=name)
+    return summary
 
 
 def finish(node: Node) -> dict[str, Any]:
     assert node.wait(DEADLINE_S)
     assert node.failure is None
     return node.close()
-
-
-def assert_nothing_is_lost(summary: dict[str, Any]) -> None:
-    assert summary["frames_in"] == summary["frames_estimated"] == FRAMES
-    assert summary["dropped"] == {}
-    assert (summary["state_lost"], summary["ues_reset"]) == (0, 0)
 
 
 def worker_pid(node: Node, shard: int) -> int:
@@ -103,62 +104,60 @@ def reached(node: Node, frames: int) -> None:
     until(lambda: node.status()["frames_estimated"] >= frames, f"{frames} frames are estimated")
 
 
+def goes_on(node: Node) -> None:
+    reached(node, node.status()["frames_estimated"] + AFTER)
+
+
 @pytest.mark.parametrize(("count", "every_s"), [(1, 0.1), (2, 60.0)])
-def test_workers(make_node: MakeNode, undisturbed: ChartUpdate, count: int, every_s: float) -> None:
+def test_workers(make_node: MakeNode, count: int, every_s: float) -> None:
     node = make_node(count, every_s=every_s)
     node.start()
     for kill in range(3):
-        reached(node, FRAMES * (kill + 1) // 5)
+        goes_on(node)
         os.kill(worker_pid(node, kill % count), signal.SIGKILL)
         until(
             lambda k=kill: sum(w["restarts"] for w in node.status()["workers"]) == k + 1,
             "there is a successor",
         )
-    summary = finish(node)
-    assert summary["worker_restarts"] == 3
-    assert_nothing_is_lost(summary)
-    assert_same_chart(node, undisturbed)
+    assert stop_and_compare(node)["worker_restarts"] == 3
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_the_feeder(make_node: MakeNode, undisturbed: ChartUpdate, count: int) -> None:
+def test_the_feeder(make_node: MakeNode, count: int) -> None:
     node = make_node(count, every_s=0.3)
     node.start()
     for kill in range(2):
-        reached(node, FRAMES * (kill + 1) // 4)
+        goes_on(node)
         os.kill(node.feeder_pid, signal.SIGKILL)
         until(lambda k=kill: node.status()["feeder_restarts"] == k + 1, "there is a successor")
-    summary = finish(node)
-    assert_nothing_is_lost(summary)
-    assert_same_chart(node, undisturbed)
+    stop_and_compare(node)
 
 
-def test_the_feeder_and_a_worker_at_once(make_node: MakeNode, undisturbed: ChartUpdate) -> None:
+def test_the_feeder_and_a_worker_at_once(make_node: MakeNode) -> None:
     node = make_node(2, every_s=0.3)
     node.start()
-    reached(node, FRAMES // 3)
+    goes_on(node)
     for pid in (worker_pid(node, 0), node.feeder_pid):
         os.kill(pid, signal.SIGKILL)
-    summary = finish(node)
-    assert_nothing_is_lost(summary)
-    assert_same_chart(node, undisturbed)
+    until(lambda: node.status()["feeder_restarts"] == 1, "the feeder has a successor")
+    goes_on(node)
+    stop_and_compare(node)
 
 
-def test_a_worker_soon_after_the_feeder(make_node: MakeNode, undisturbed: ChartUpdate) -> None:
+def test_a_worker_soon_after_the_feeder(make_node: MakeNode) -> None:
     node = make_node(2, every_s=60.0)
     node.start()
-    reached(node, FRAMES // 3)
+    goes_on(node)
     os.kill(node.feeder_pid, signal.SIGKILL)
     until(lambda: node.status()["feeder_restarts"] == 1, "there is a successor")
-    reached(node, FRAMES // 2)
+    goes_on(node)
     os.kill(worker_pid(node, 1), signal.SIGKILL)
-    summary = finish(node)
-    assert_nothing_is_lost(summary)
-    assert_same_chart(node, undisturbed)
+    goes_on(node)
+    stop_and_compare(node)
 
 
 def test_everything_and_then_resumed_with_more_workers(
-    run_node: RunNode, make_node: MakeNode, undisturbed: ChartUpdate, capture: Path, tmp_path: Path
+    run_node: RunNode, make_node: MakeNode, capture: Path, tmp_path: Path
 ) -> None:
     state = tmp_path / "state"
     first = run_node(
@@ -167,7 +166,7 @@ def test_everything_and_then_resumed_with_more_workers(
         type = "recording"
         path = "{capture}"
         speed = 20
-        loops = {LOOPS}
+        loops = 0
         [estimator]
         averaging = "mean"
         [workers]
@@ -187,15 +186,13 @@ def test_everything_and_then_resumed_with_more_workers(
     node = make_node(3, every_s=0.2, directory=state, resume=True)
     node.start()
     assert node.chart() is None or len(node.chart()) <= 40  # type: ignore[arg-type]
-    summary = finish(node)
-    assert_nothing_is_lost(summary)
-    assert_same_chart(node, undisturbed)
+    goes_on(node)
+    stop_and_compare(node)
 
     again = make_node(3, every_s=0.2, directory=state, resume=True)
     again.start()
-    summary = finish(again)
-    assert_nothing_is_lost(summary)
-    assert_same_chart(again, undisturbed)
+    goes_on(again)
+    stop_and_compare(again)
 
 
 def tear_newest(state: Path) -> None:
@@ -251,17 +248,19 @@ def test_without_snapshots_what_is_lost_is_told(make_live: MakeNode) -> None:
 
 
 @pytest.mark.parametrize("victim", ["worker", "feeder"])
-def test_what_hangs_is_noticed_and_succeeded(
-    make_node: MakeNode, undisturbed: ChartUpdate, victim: str
-) -> None:
+def test_what_hangs_is_noticed_and_succeeded(make_node: MakeNode, victim: str) -> None:
     node = make_node(2, every_s=0.5)
     node.start()
-    reached(node, FRAMES // 3)
+    goes_on(node)
     os.kill(worker_pid(node, 1) if victim == "worker" else node.feeder_pid, signal.SIGSTOP)
-    until(lambda: node.status()["stuck"] or node.status()["reason"], "it is told")
-    summary = finish(node)
+    restarts = (
+        (lambda: node.status()["workers"][1]["restarts"])
+        if victim == "worker"
+        else (lambda: node.status()["feeder_restarts"])
+    )
+    until(restarts, "it has a successor")
+    goes_on(node)
+    summary = stop_and_compare(node)
     assert (summary["worker_restarts"], summary["feeder_restarts"]) == (
         (1, 0) if victim == "worker" else (0, 1)
     )
-    assert_nothing_is_lost(summary)
-    assert_same_chart(node, undisturbed)

@@ -119,6 +119,16 @@ def test_who_goes_on_leaves_out_what_is_in_a_state_already() -> None:
     assert reader.frames_in == COUNTED["frames_in"] + len(wanted)
 
 
+def test_what_had_been_read_before_is_read_even_after_stop() -> None:
+    def prepare(reader: Reader) -> None:
+        reader.go_on(Mark(10, {"blocks": 1}), [(1, 0, 25)], COUNTED, read_before=42)
+        reader.stop()
+
+    reader, out = read(blocks(6)[1:], prepare=prepare)
+    assert sum(len(block) for block in out) == 50 - 25
+    assert reader.passed_on == 50, "whole blocks"
+
+
 def test_live_frames_of_another_day_get_the_hosts_time() -> None:
     now_ns = time.time_ns()
     good, early = blocks(2, start_ns=now_ns, step_ns=0)
