@@ -6,6 +6,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -51,6 +52,8 @@ class SimulatorSettings(SourceSettings):
     """UEs are at random heights from ue_height_m up to this; not set: all at ue_height_m."""
     area_m: tuple[float, float, float, float] = (100.0, 600.0, -500.0, 500.0)
     """Where: nearest and farthest ahead of the array, then from and to along its axis."""
+    area_in: Literal["array", "world"] = "array"
+    """`world`: area_m is from and to along the world's x, then y, as simulators of several arrays need it."""
     channel: ChannelName = "los"
     """`los`, a spherical wave; `qlos` and `qnlos`, urban macro cells with and without line of sight."""
     exponent: float = Field(1.0, ge=0, le=8)
@@ -66,6 +69,9 @@ class SimulatorSettings(SourceSettings):
     frame_rate_hz: float = Field(5000.0, ge=0, le=10e6)
     """Frames a second, all UEs together, in turn. 0: as fast as the node takes them, none lost; frame
     times then are as if every UE sent ten frames a second."""
+    in_step: bool = False
+    """Frame n is due n / frame_rate_hz seconds after 1970, and says so: simulators of several arrays with
+    the same seed, area in the world, UEs and rate then hear the same transmissions."""
     frames: int | None = Field(None, ge=1)
     """End after so many frames; not set: never."""
     known_ues: int | None = Field(None, ge=0)
@@ -115,14 +121,17 @@ class Simulator(Source):
             return [f"area_m = {list(settings.area_m)}: must be nearest < farthest, then from < to"]
         if settings.ue_highest_m is not None and settings.ue_highest_m < settings.ue_height_m:
             return [f"ue_highest_m = {settings.ue_highest_m:g}: must be at least ue_height_m"]
+        if settings.in_step and settings.frame_rate_hz == 0:
+            return ["in_step = true: must have a frame_rate_hz"]
         if settings.channel != "los" and settings.ues > MAX_UES:
             return [f"ues = {settings.ues}: {settings.channel} channels take at most {MAX_UES}"]
         return []
 
     def _begin(self) -> None:
         """Back to frame 0."""
-        self._sent = 0
+        self._sent = self._first = 0
         self._skipped_s = 0.0
+        self._started = False
         self._start = 0.0
         self._start_ns = 0
 
@@ -143,10 +152,11 @@ class Simulator(Source):
             )
         self._begin()
         area = (s.area_m[:2], s.area_m[2:])
-        start = place(s.layout, s.ues, self.array, s.seed, s.ue_height_m, area, s.ue_highest_m)
+        before = self.array if s.area_in == "array" else _world_frame(self.array)
+        start = place(s.layout, s.ues, before, s.seed, s.ue_height_m, area, s.ue_highest_m)
         self._motion: Motion = Static(start)
         if s.motion == "waypoint":
-            self._motion = RandomWaypoint(start, self.array, s.speed_m_s, s.seed, area=area)
+            self._motion = RandomWaypoint(start, before, s.speed_m_s, s.seed, area=area)
         self._channel: Channel = make_channel(s.channel, self.array, start, s.seed, s.exponent)
         self._known = s.ues if s.known_ues is None else s.known_ues
         self._noise = np.random.Generator(np.random.SFC64([s.seed, _NOISE_STREAM]))
@@ -167,8 +177,11 @@ class Simulator(Source):
         deadline = self._clock() + timeout
         if self._work is not None and not self._work_until(deadline):
             return None
-        if self._start_ns == 0:
+        if not self._started:
+            self._started = True
             self._start, self._start_ns = self._clock(), time.time_ns()
+            if self.settings.in_step:
+                self._catch_up()
         wanted = self.settings.block_frames
         if self.settings.frames is not None:
             wanted = min(wanted, self.settings.frames - self._sent)
@@ -185,6 +198,7 @@ class Simulator(Source):
         """Make the same frames again, to go on behind them with the same noise."""
         if self._work is not None:
             self._work_until(math.inf)
+        self._started = True
         self._start, self._start_ns = self._clock(), position["start_ns"] or time.time_ns()
         while (left := position["frames"] - self._sent) > 0:
             self._block(min(left, self.settings.block_frames))
@@ -239,7 +253,7 @@ class Simulator(Source):
         late = now - first - wanted / self._rate
         if late > MAX_LAG_S:
             self._skip(late)
-            return wanted
+            return 0 if self.settings.in_step else wanted
         return min(wanted, int((now - first) * self._rate) + 1)
 
     def _skip(self, seconds: float) -> None:
@@ -247,12 +261,23 @@ class Simulator(Source):
         if self._skipped_s == 0:
             log.warning("the simulator cannot make %g frames/s here: skipping time", self._rate)
         self._skipped_s += seconds
+        if self.settings.in_step:
+            self._catch_up()
+            return
         self._start += seconds
         self._start_ns += int(seconds * 1e9)
 
+    def _catch_up(self) -> None:
+        """The next frame is the first that is due from now on, counted since 1970."""
+        now_ns, began = time.time_ns(), self._clock()
+        next_frame = math.ceil(now_ns * 1e-9 * self._rate)
+        self._first = next_frame - self._sent
+        self._start_ns = 0
+        self._start = began - now_ns * 1e-9 + self._first / self._rate
+
     def _block(self, k: int) -> CsiBlock:
         """The next k frames."""
-        frame = self._sent + np.arange(k)
+        frame = self._first + self._sent + np.arange(k)
         ue = frame % self.settings.ues
         time_s = frame / self._rate
         position = self._motion.at(ue, time_s)
@@ -279,4 +304,10 @@ class Simulator(Source):
             time_ns=self._start_ns + (time_s * 1e9).astype(np.int64),
             csi=csi,
             position=shown if self._known else None,
+            packet=(frame + 1).astype(np.uint64) if self.settings.in_step else None,
         )
+
+
+def _world_frame(array: ArrayGeometry) -> ArrayGeometry:
+    """The array where an area ahead of it and along its axis is one along the world's x and y."""
+    return replace(array, position_m=(0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0), broadside=(1.0, 0.0, 0.0))

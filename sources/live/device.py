@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import time
 from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -104,6 +106,8 @@ class DeviceSettings(SourceSettings):
 class DeviceSource(Source):
     """Frames of a device that may go and come back.
 
+    Where it has several arrays, a frame holds the antennas of one after the other, and becomes a block each.
+
     Attributes
     ----------
     facts
@@ -122,6 +126,7 @@ class DeviceSource(Source):
         self._connection: Connection | None = None
         self._reconnects = 0
         self._next_seq = 0
+        self._made: deque[CsiBlock] = deque()
         self._ended_s: float | None = None
         self.simulated = None
 
@@ -180,6 +185,8 @@ class DeviceSource(Source):
         EndOfSource
             When a simulated device has sent all its frames.
         """
+        if self._made:
+            return self._made.popleft()
         deadline = time.monotonic() + timeout
         frames: list[Frame] = []
         while len(frames) < MAX_BLOCK_FRAMES:
@@ -189,7 +196,8 @@ class DeviceSource(Source):
                 break
         if not frames and self._finished():
             raise EndOfSource
-        return self._block(frames)
+        self._made.extend(self._blocks(frames))
+        return self._made.popleft() if self._made else None
 
     def close(self) -> None:
         """Let go of the device, and end it if it is simulated."""
@@ -242,26 +250,35 @@ class DeviceSource(Source):
         self._reconnects += 1
         log.info("%s is back", self.where)
 
-    def _block(self, frames: list[Frame]) -> CsiBlock | None:
-        """Frames as a block whose number counts those known to be missing; odd ones are rejected."""
-        shape = self.array.antennas, self.array.subcarriers
+    def _blocks(self, frames: list[Frame]) -> Iterator[CsiBlock]:
+        """Frames as blocks whose numbers count those known to be missing; odd ones are rejected."""
+        arrays = (self.array, *self.others)
+        shape = sum(array.antennas for array in arrays), self.array.subcarriers
         fitting = [frame for frame in frames if frame.csi.shape == shape]
         if len(fitting) < len(frames):
             self.rejected.add("shape", len(frames) - len(fitting))
         if not fitting:
-            return None
+            return
+        ue = np.array([frame.ue for frame in fitting], np.uint64)
+        time_ns = np.array([frame.time_ns for frame in fitting], np.int64)
         packets = np.array([frame.packet for frame in fitting], np.uint64)
-        block = CsiBlock(
-            self.array.name,
-            self._next_seq + sum(frame.lost for frame in fitting),
-            np.array([frame.ue for frame in fitting], np.uint64),
-            np.array([frame.time_ns for frame in fitting], np.int64),
-            np.stack([frame.csi for frame in fitting]).astype(np.complex64, copy=False),
-            packet=packets if packets.any() else None,
-        )
-        good = usable(block, self.rejected)
-        self._next_seq = block.seq + (0 if good is None else len(good))
-        return good
+        csi = np.stack([frame.csi for frame in fitting]).astype(np.complex64, copy=False)
+        lost, first = sum(frame.lost for frame in fitting), 0
+        for array in arrays:
+            part = csi[:, first : first + array.antennas]
+            first += array.antennas
+            block = CsiBlock(
+                array.name,
+                self._next_seq + lost,
+                ue,
+                time_ns,
+                np.ascontiguousarray(part),
+                packet=packets if packets.any() else None,
+            )
+            good = usable(block, self.rejected)
+            self._next_seq = block.seq + (0 if good is None else len(good))
+            if good is not None:
+                yield good
 
 
 def count(error: CodecError, rejected: Counters) -> None:

@@ -231,3 +231,48 @@ def test_an_area_and_heights_of_ones_own():
 def test_what_is_no_area_is_said(settings, says):
     [problem] = Simulator.problems(SimulatorSettings(**settings))
     assert says in problem
+
+
+def test_simulators_in_step_hear_the_same_transmissions():
+    """Two arrays, started one after the other: a number stands for one UE at one time and place."""
+    heard = []
+    for y in (0.0, 8.0):
+        array = ArraySettings(antennas=8, subcarriers=4, position_m=(5.0, y, 2.0)).geometry()
+        settings = SimulatorSettings(
+            ues=5,
+            motion="waypoint",
+            area_m=(1, 9, 1, 7),
+            area_in="world",
+            in_step=True,
+            frame_rate_hz=500.0,
+            frames=600,
+        )
+        with Simulator(settings, array) as source:
+            blocks = []
+            while sum(map(len, blocks)) < 100:
+                block = source.recv(5.0)
+                blocks += [] if block is None else [block]
+        heard.append(CsiBlock.concatenate(blocks))
+    for block in heard:
+        assert (np.diff(block.packet.astype(np.int64)) >= 1).all()
+        assert (block.position[:, :2] > (1, 1)).all()
+        assert (block.position[:, :2] < (9, 7)).all()
+        np.testing.assert_array_equal(block.ue, (block.packet - 1) % 5)
+        np.testing.assert_allclose(block.time_ns, (block.packet - 1) / 500.0 * 1e9, atol=1e3)
+        assert np.abs(block.time_ns / 1e9 - time.time()).max() < 60
+
+
+def test_a_simulator_in_step_skips_what_it_is_late_with():
+    fake = FakeTime()
+    source = paced(fake, in_step=True, frame_rate_hz=100.0, ues=3)
+    while (before := source.recv(1.0)) is None:
+        pass
+    fake.now += 5.0
+    while (after := source.recv(1.0)) is None:
+        pass
+    assert after.seq == before.seq + len(before)
+    assert source.details()["skipped_s"] > 4
+
+
+def test_keeping_step_needs_a_rate():
+    assert "frame_rate_hz" in Simulator.problems(SimulatorSettings(in_step=True, frame_rate_hz=0))[0]

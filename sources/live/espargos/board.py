@@ -7,7 +7,7 @@ import threading
 import time
 from abc import abstractmethod
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +56,29 @@ class BoardReport:
     references: int = 0
 
 
+def _just_booted() -> int:
+    return time.time_ns() - 100_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Wiring:
+    """How a board is connected to others.
+
+    Attributes
+    ----------
+    number
+        Which of the boards it is.
+    boot_ns
+        When its clock was zero; boards on one clock have one such time, and the same packets' phases.
+    cable_s
+        Delay of the cable that brings it the common reference.
+    """
+
+    number: int = 0
+    boot_ns: int = field(default_factory=_just_booted)
+    cable_s: float = 0.0
+
+
 class SimulatedBoard(SimulatedDevice):
     """A board that hears what a source says, whichever way it is asked and listened to.
 
@@ -67,13 +90,18 @@ class SimulatedBoard(SimulatedDevice):
         What the controller says it listens on.
     faults
         What is wrong.
+    wiring
+        How it is connected to other boards.
     """
 
-    def __init__(self, source: Source, channel: Channel, faults: BoardFaults) -> None:
+    def __init__(
+        self, source: Source, channel: Channel, faults: BoardFaults, wiring: Wiring | None = None
+    ) -> None:
         super().__init__()
         self._report = BoardReport()
         self._source, self._channel, self._faults = source, channel, faults
-        self._rng = np.random.default_rng(faults.fault_seed)
+        self._wiring = wiring or Wiring()
+        self._rng = np.random.default_rng([faults.fault_seed, self._wiring.number])
         self._clock_s = self._rng.uniform(0, faults.clock_ns * 1e-9, ANTENNAS)
         self._phase = np.exp(1j * self._rng.uniform(-np.pi, np.pi, ANTENNAS))
         self._sequence: dict[int, int] = {}
@@ -82,7 +110,7 @@ class SimulatedBoard(SimulatedDevice):
         self._switch = control.ANTENNAS
         self._greeted = False
         self._stopping = threading.Event()
-        self._boot_ns = time.time_ns() - 100_000_000_000
+        self._last_reference = 0
         self._thread = threading.Thread(target=self._play, name="board", daemon=True)
 
     @property
@@ -142,7 +170,7 @@ class SimulatedBoard(SimulatedDevice):
                     self._greeted = True
                 elif self._switch == control.REFERENCE:
                     self._reference()
-                    self._stopping.wait(1 / REFERENCE_HZ)
+                    self._stopping.wait(0.5 / REFERENCE_HZ)
                 elif not self._hear():
                     break
         self.ended.set()
@@ -155,25 +183,35 @@ class SimulatedBoard(SimulatedDevice):
             self._release(everything=True)
             return False
         if block is not None:
-            for ue, time_ns, csi in zip(block.ue.tolist(), block.time_ns.tolist(), block.csi, strict=True):
-                self._packet(ue, time_ns, csi, calibration=False)
+            number = [self._next(ue) for ue in block.ue.tolist()] if block.packet is None else block.packet
+            for n, packet in enumerate(np.asarray(number).tolist()):
+                self._packet(int(block.ue[n]), packet, int(block.time_ns[n]), block.csi[n])
         return True
 
     def _reference(self) -> None:
+        """The next packet that the board sends to itself, or that all boards on one clock get from one."""
+        number = int(time.time() * REFERENCE_HZ)
+        if number == self._last_reference:
+            return
+        self._last_reference = number
         frequency = self._channel.packet_hz + message.TONES * SUBCARRIER_SPACING_HZ
-        csi = np.exp(-2j * np.pi * trace_delay_s()[:, None] * frequency)
-        self._packet(BOARD_ADDRESS, time.time_ns(), csi.astype(np.complex64), calibration=True)
+        path_s = trace_delay_s() + self._wiring.cable_s
+        csi = np.exp(-2j * np.pi * path_s[:, None] * frequency).astype(np.complex64)
+        self._packet(BOARD_ADDRESS, number, int(number / REFERENCE_HZ * 1e9), csi, calibration=True)
         self._report.references += 1
 
-    def _packet(self, ue: int, time_ns: int, csi: NDArray[np.complex64], *, calibration: bool) -> None:
+    def _packet(
+        self, ue: int, number: int, time_ns: int, csi: NDArray[np.complex64], *, calibration: bool = False
+    ) -> None:
         """Send what each sensor makes of a packet: phases, and where it takes the beginning to be."""
-        began = (time_ns - self._boot_ns) * 1e-9 + self._rng.uniform(0, 1e-6) + self._clock_s
+        of_all = np.random.default_rng([self._faults.fault_seed, ue, number])
+        began = (time_ns - self._wiring.boot_ns) * 1e-9 + of_all.uniform(0, 1e-6) + self._clock_s
         half_ns = np.round(began * 1e9 / UNIT_NS).astype(np.int64) * round(2 * UNIT_NS)
         early = half_ns * 0.5e-9 - began
         first = SensorCsi(
             source=ue & (1 << 48) - 1,
             destination=(1 << 48) - 1,
-            sequence=self._next(ue) << 4,
+            sequence=number % 4096 << 4,
             retry=False,
             calibration=calibration,
             time_half_ns=0,
@@ -185,7 +223,7 @@ class SimulatedBoard(SimulatedDevice):
         )
         tones = Cluster(first, csi, early).tones()
         turns = np.exp(
-            2j * np.pi * SUBCARRIER_SPACING_HZ * early[:, None] * tones + 1j * self._rng.uniform(0, 2 * np.pi)
+            2j * np.pi * SUBCARRIER_SPACING_HZ * early[:, None] * tones + 1j * of_all.uniform(0, 2 * np.pi)
         )
         heard = csi * turns * self._phase[:, None]
         peak = float(np.abs(heard.view(np.float64)).max()) or 1.0

@@ -8,6 +8,7 @@ import select
 import socket
 import threading
 import tty
+from dataclasses import asdict
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
@@ -16,10 +17,10 @@ from chachart.node.data.errors import SetupError
 from chachart.sources.base import Source
 from chachart.sources.live.device import CodecError
 from chachart.sources.live.espargos import stream, uart
-from chachart.sources.live.espargos.board import BoardFaults, SimulatedBoard
+from chachart.sources.live.espargos.board import BoardFaults, BoardReport, SimulatedBoard, Wiring
 from chachart.sources.live.espargos.control import Channel
 from chachart.sources.live.espargos.uart import Kind, UartFrame
-from chachart.sources.live.simulated import ANY_PORT, Address
+from chachart.sources.live.simulated import ANY_PORT, Address, SimulatedDevice
 
 LONGEST_BODY = 1 << 16
 
@@ -34,9 +35,14 @@ class NetworkBoard(SimulatedBoard):
     """
 
     def __init__(
-        self, source: Source, channel: Channel, faults: BoardFaults, address: Address = ANY_PORT
+        self,
+        source: Source,
+        channel: Channel,
+        faults: BoardFaults,
+        address: Address = ANY_PORT,
+        wiring: Wiring | None = None,
     ) -> None:
-        super().__init__(source, channel, faults)
+        super().__init__(source, channel, faults, wiring)
         self._client: tuple[str, int] | None = None
         try:
             self._http = _Http(address, self)
@@ -98,6 +104,40 @@ class NetworkBoard(SimulatedBoard):
         client = self._client
         if client is not None:
             self._udp.sendto(packet, client)
+
+
+class WiredBoards(SimulatedDevice):
+    """Boards on one clock that hear the same packets, as one device."""
+
+    def __init__(self, boards: list[NetworkBoard]) -> None:
+        super().__init__()
+        self.boards = boards
+
+    @property
+    def where(self) -> str:
+        """Their controllers' addresses, and where the first wants signs of life."""
+        hosts = ",".join(f'{{host="{board.host}"}}' for board in self.boards)
+        return f"boards=[{hosts}] udp_port={self.boards[0].udp_port}"
+
+    @property
+    def report(self) -> BoardReport:
+        """What has become of what all sent."""
+        total = BoardReport()
+        for board in self.boards:
+            for name, count in asdict(board.report).items():
+                setattr(total, name, getattr(total, name) + count)
+        return total
+
+    def start(self) -> None:
+        """Listen."""
+        for board in self.boards:
+            board.start()
+
+    def stop(self) -> None:
+        """End everything."""
+        for board in self.boards:
+            board.stop()
+        self.ended.set()
 
 
 class SerialBoard(SimulatedBoard):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import select
 import time
+from dataclasses import replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -14,7 +15,7 @@ from pydantic import Field
 from chachart.node.data.counters import Counters
 from chachart.node.data.errors import SetupError
 from chachart.node.data.facts import CaptureFacts
-from chachart.node.data.geometry import SPEED_OF_LIGHT
+from chachart.node.data.geometry import SPEED_OF_LIGHT, ArrayGeometry
 from chachart.node.data.settings import Settings
 from chachart.sources.base import SourceSettings
 from chachart.sources.frontend.clock import DeviceClock
@@ -28,11 +29,11 @@ from chachart.sources.live.device import (
     count,
 )
 from chachart.sources.live.espargos import calibration, control, stream
-from chachart.sources.live.espargos.board import BoardFaults
+from chachart.sources.live.espargos.board import BoardFaults, Wiring
 from chachart.sources.live.espargos.calibration import Correction, trace_delay_s
 from chachart.sources.live.espargos.cluster import ANTENNAS, Cluster, Grouping
 from chachart.sources.live.espargos.control import Channel
-from chachart.sources.live.espargos.far_end import NetworkBoard
+from chachart.sources.live.espargos.far_end import NetworkBoard, WiredBoards
 from chachart.sources.live.espargos.link import Link, NetworkLink
 from chachart.sources.live.espargos.message import TONES, decode_message
 from chachart.sources.live.espargos.serial_link import SerialLink
@@ -76,14 +77,15 @@ class EspargosSettings(DeviceSettings):
     type: Literal["espargos"] = "espargos"
     """Which source."""
     boards: tuple[Board, ...] = Field((Board(),), min_length=1, max_length=16)
-    """One board, or several wired to one clock: their antennas, one board after the other, are one array."""
+    """One board, or several wired to one clock: their antennas, one board after the other, are one array, or
+    those that `array` names."""
     calibrate_s: float = Field(2.0, ge=0, le=60)
     """How long the reference is listened to at the start and after the channel has changed; 0: not at all."""
     udp_port: int = Field(UDP_PORT, ge=1, le=65535)
     """Where the controllers want signs of life."""
     loopback: EspargosLoopback | bool = False
-    """true, or a table: simulate one board in this process. Its keys: `corrupt`, `drop`, `reorder` (fractions
-    of the packets), `clock_ns`, `fault_seed`, `channel_primary`, and `scenario`, a simulator's settings."""
+    """true, or a table: simulate the boards in this process. Its keys: `corrupt`, `drop`, `reorder` (parts of
+    the packets), `clock_ns`, `fault_seed`, `channel_primary`, and `scenario`, a simulator's settings."""
 
 
 class EspargosSource(DeviceSource):
@@ -115,15 +117,41 @@ class EspargosSource(DeviceSource):
             return None
         loopback = told if isinstance(told, EspargosLoopback) else EspargosLoopback()
         channel = Channel(loopback.channel_primary, 0)
-        return NetworkBoard(Simulator(loopback.scenario, self.array), channel, loopback, address)
+        wired, first = self.settings.boards, Wiring()
+        self._check_array(len(wired))
+        boards = []
+        for number, (board, array) in enumerate(zip(wired, self._board_arrays(), strict=True)):
+            wiring = replace(first, number=number, cable_s=_cable_s(board))
+            at = (address[0], address[1] + number if address[1] else 0)
+            hears = Simulator(loopback.scenario, array)
+            boards.append(NetworkBoard(hears, channel, loopback, at, wiring))
+        return boards[0] if len(boards) == 1 else WiredBoards(boards)
+
+    def _board_arrays(self) -> list[ArrayGeometry]:
+        """What each board is an array of its own, however its antennas are put together to arrays."""
+        arrays = []
+        for array in (self.array, *self.others):
+            if array.antennas == ANTENNAS:
+                arrays.append(array)
+                continue
+            places = np.asarray(array.own_elements if array.elements is None else array.elements)
+            band = array.subcarriers, array.carrier_hz, array.subcarrier_spacing_hz
+            pose = {name: getattr(array, name) for name in ("position_m", "axis", "broadside", "tones")}
+            for start in range(0, len(places), ANTENNAS):
+                part = places[start : start + ANTENNAS]
+                arrays.append(ArrayGeometry.of_elements(array.name, part, *band, **pose))
+        return arrays
 
     def _connect(self) -> Connection:
         boards, port = self.settings.boards, self.settings.udp_port
-        if isinstance(self.simulated, NetworkBoard):
-            boards, port = (Board(host=self.simulated.host),), self.simulated.udp_port
+        simulated = self.simulated
+        if simulated is not None:
+            far_ends = simulated.boards if isinstance(simulated, WiredBoards) else [simulated]
+            hosts = [end.host for end in far_ends if isinstance(end, NetworkBoard)]
+            boards = tuple(b.model_copy(update={"host": h}) for b, h in zip(boards, hosts, strict=True))
         self._check_array(len(boards))
         links = [self._link(board, port) for board in boards]
-        cables = np.array([board.cable_m / (board.velocity_factor * SPEED_OF_LIGHT) for board in boards])
+        cables = np.array([_cable_s(board) for board in boards])
         return Stream(links, cables, self.settings.calibrate_s, self.rejected)
 
     def _link(self, board: Board, udp_port: int) -> Link:
@@ -133,11 +161,18 @@ class EspargosSource(DeviceSource):
 
     def _check_array(self, boards: int) -> None:
         wanted = boards * ANTENNAS, len(TONES)
-        if (self.array.antennas, self.array.subcarriers) != wanted:
+        arrays = (self.array, *self.others)
+        there = sum(array.antennas for array in arrays), self.array.subcarriers
+        if there != wanted or any(array.antennas % ANTENNAS for array in arrays):
             raise SetupError(
                 f"[array] {boards} ESPARGOS boards measure {wanted[0]} antennas x {wanted[1]} subcarriers, "
-                f"not {self.array.antennas} x {self.array.subcarriers}"
+                f"not {there[0]} x {there[1]}"
             )
+
+
+def _cable_s(board: Board) -> float:
+    """Delay of the cable that brings a board the common reference."""
+    return board.cable_m / (board.velocity_factor * SPEED_OF_LIGHT)
 
 
 class Stream(Connection):
@@ -171,7 +206,8 @@ class Stream(Connection):
         self._clock = DeviceClock()
         self._correction: Correction | None = None
         self._references: list[Cluster] = []
-        self._calibrating_until: float | None = None
+        self._calibrating = False
+        self._calibrated_at: float | None = None
         self._lost = 0
         try:
             self._channel = self._begin()
@@ -206,7 +242,7 @@ class Stream(Connection):
     def details(self) -> dict[str, Any]:
         """The channel, and what calibration has found."""
         found = self._correction
-        state = "running" if self._calibrating_until is not None else "none" if found is None else "done"
+        state = "running" if self._calibrating else "none" if found is None else "done"
         return {
             "channel": self._channel.primary,
             "secondary": self._channel.secondary,
@@ -245,13 +281,17 @@ class Stream(Connection):
         self._references = []
         for link in self._links:
             link.switch(control.REFERENCE)
-        self._calibrating_until = time.monotonic() + self._calibrate_s
+        self._calibrating, self._calibrated_at = True, None
 
     def _calibrate(self, now: float) -> None:
         """When the reference has been heard for long enough: find the correction, back to the antennas."""
-        if self._calibrating_until is None or now < self._calibrating_until:
+        if not self._calibrating:
             return
-        self._calibrating_until = None
+        if self._calibrated_at is None:  # from when somebody reads, which may be long after the connection
+            self._calibrated_at = now + self._calibrate_s
+        if now < self._calibrated_at:
+            return
+        self._calibrating = False
         try:
             for link in self._links:
                 link.switch(control.ANTENNAS)
@@ -295,10 +335,10 @@ class Stream(Connection):
             if self._calibrate_s:
                 self._start_calibration()
         if first.calibration:
-            if self._calibrating_until is not None:
+            if self._calibrating:
                 self._references.append(cluster)
             return []
-        if self._calibrating_until is not None:
+        if self._calibrating:
             self._rejected.add("calibrating")
             return []
         csi = cluster.aligned()

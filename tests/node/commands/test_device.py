@@ -65,6 +65,16 @@ def test_mistakes_are_told(arguments: list[str], told: str, capsys: pytest.Captu
     assert told in capsys.readouterr().err
 
 
+def test_all_boards_of_a_hall_are_there() -> None:
+    with device("espargos", "--config", "espargos-hall") as (first, process):
+        assert process.stdout is not None
+        told = [first, *(process.stdout.readline() for _ in range(3))]
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=20)
+    numbers = [re.match(r"espargos of source\.(\d): boards=", line) for line in told]
+    assert [number and number[1] for number in numbers] == ["0", "1", "2", "3"]
+
+
 def test_a_tool_that_is_asked_answers_whoever_asks() -> None:
     """FeitCSI listens, and sends to whoever gave it a command."""
     numbers = [*range(-28, 0), *range(1, 29)]
