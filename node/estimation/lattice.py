@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate
 
 from chachart.node.data.geometry import ArrayGeometry
 
@@ -107,7 +106,7 @@ class Lattice:
     def pairs(self) -> Floats:
         """(L,) how many pairs of elements have each lag; an element counts as a pair with itself."""
         there = self.spread_out(np.ones(self.size), 0)
-        count: Floats = np.rint(correlate(there, there, "full")[self.span - 1 :][self.lags])
+        count: Floats = np.rint(np.correlate(there, there, "full")[self.span - 1 :][self.lags])
         return count
 
     @cached_property

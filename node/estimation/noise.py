@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate
 
 from chachart.node.estimation.circle import Circle
 from chachart.node.estimation.lattice import Lattice
@@ -35,7 +34,7 @@ class NoiseFloor:
     def __init__(self, lattice: Lattice) -> None:
         span, lags = lattice.span, lattice.lags
         taper = np.hanning(span + 2)[1:-1]
-        full = correlate(taper, taper, "full")[span - 1 :] / np.vdot(taper, taper)
+        full = np.correlate(taper, taper, "full")[span - 1 :] / np.vdot(taper, taper)
         kernel = np.where(lattice.pairs > 0, full[lags], 0)
         window = kernel * lattice.size / np.maximum(lattice.pairs, 1)
         self._window = window
