@@ -15,7 +15,7 @@ from chachart.node.estimation.evidence import AxisEvidence
 from chachart.node.estimation.judge import inflated
 from chachart.node.estimation.lattice import Lattice
 from chachart.node.estimation.locator import Columns
-from chachart.node.estimation.manifold import Search, UniformManifold, derivatives
+from chachart.node.estimation.manifold import Search, UniformManifold, derivatives, phasors
 from chachart.node.estimation.options import Options
 from chachart.node.estimation.state import Slots, SlotState
 from chachart.node.estimation.subspace import SubspaceTracker, dominant
@@ -100,16 +100,14 @@ class SpectralAxis(SlotState):
         n, snapshots = self.manifold.size, frames * self.snapshots
         scale = weight * (self.snapshots * n)
         if self.method == "bartlett":
-            u, value = self.search.extremum(sums, maximum=True)
-            return self._judge(u, sums / scale[:, None], value / (scale * n), snapshots)
+            u, _ = self.search.extremum(sums, maximum=True)
+            return self._judge(u, sums / scale[:, None], snapshots)
         r = self._prepared(sums)
         factor = self._factor(r, group.slots, snapshots)
         c = self._lags.of_products(factor, factor.conj())
         u, value = self.search.extremum(c, maximum=self.method in spectra.MAXIMUM)
         u[np.isnan(value)] = np.nan
-        steering = self.manifold.steering(u).astype(r.dtype)[:, :, None]
-        beam = np.einsum("kni,kni->k", steering.conj(), np.matmul(r, steering)).real
-        return self._judge(u, self._lags.of(r) / scale[:, None], beam / (scale * n), snapshots)
+        return self._judge(u, self._lags.of(r) / scale[:, None], snapshots)
 
     def deviation(self, at: Columns, growth: Floats) -> Floats:
         """Deviation (U,) of the coordinate where echoes make the variance of noise grow: see `inflated`."""
@@ -163,12 +161,14 @@ class SpectralAxis(SlotState):
             signal = order.leading(vectors, orders)
         return signal if self.method == "music" else spectra.minnorm(signal)
 
-    def _judge(self, u: Floats, lags: Complex, beam: Floats, snapshots: Floats) -> Columns:
+    def _judge(self, u: Floats, lags: Complex, snapshots: Floats) -> Columns:
         """Power of the path at u, of the rest, and the deviation that noise alone gives it; the evidence.
 
         For a path in white noise `total` = tr R / N is P + sigma^2, `beam` = aᴴRa / N^2 is P + sigma^2 / N.
         """
         n, total = self.manifold.size, lags[:, 0].real.astype(np.float64)
+        turned = lags * phasors(u, self.manifold.lattice.lags).T
+        beam = turned.real.sum(axis=1) / n
         power = np.maximum((n * beam - total) / (n - 1), total / np.sqrt(n * snapshots))
         noise = np.maximum(total - power, 1e-6 * total)
         u_std = stochastic_std(self.manifold.lattice, snapshots, power / noise)
@@ -182,7 +182,7 @@ class SpectralAxis(SlotState):
             f"{self.name}_noise_std": self.manifold.coordinate_std(u, u_std),
             f"{self.name}_u": u,
             f"{self.name}_u_std": u_std,
-            f"{self.name}_evidence": self._evidence.of(lags, u, u_std, snapshots),
+            f"{self.name}_evidence": self._evidence.of(lags, turned, u_std, snapshots),
             "power": power,
             "noise": noise,
         }

@@ -65,11 +65,13 @@ class Candidates:
         first = np.searchsorted(ue, np.arange(count))
         belief = np.exp(self.score - self.score[chosen][ue])
         belief /= np.add.reduceat(belief, first)[ue]
+        others = belief.copy()
+        others[chosen] = 0
         off_angle = _turn(self.angle - self.angle[chosen][ue], grid[0]) * (span[0] / grid[0])
         off_delay = _turn(self.delay - self.delay[chosen][ue], grid[1]) * (span[1] / grid[1])
         near = np.abs(off_delay) <= NEAR
         columns = [
-            log(1 - belief[chosen]),
+            log(np.add.reduceat(others, first)),
             log(self.share[chosen]),
             log(self.share[chosen] / np.maximum.reduceat(self.share, first)),
             log(self.excess[chosen]),

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from chachart.node.estimation.manifold import polynomial_table
+from chachart.node.estimation.products import row_products
 
 Complex = NDArray[np.complexfloating[Any, Any]]
 Floats = NDArray[np.floating[Any]]
@@ -46,8 +47,7 @@ class Circle:
         kind = np.complex64 if self._dtype is np.float32 else np.complex128
         c = np.ascontiguousarray(c, kind)
         if self._table is not None:
-            product: Floats = c.view(self._dtype) @ self._table
-            return product
+            return row_products(c.view(self._dtype), self._table)
         spread = np.zeros((len(c), self._points), kind)
         spread[:, self._lags] = c
         circle: Floats = fft.ifft(spread, axis=1, norm="forward", overwrite_x=True).real

@@ -8,6 +8,7 @@ exact from the first frame on, below that.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -41,12 +42,13 @@ class Grouping:
 
     Attributes
     ----------
-    rest
-        (U,) what is left of each UE's earlier sums beside decay; None for all of it.
+    halved
+        What is halved of earlier sums, see `Weights.add`: before the n-th frames are added, those of a mask
+        of UEs (U,). None before anybody has looked.
     """
 
     def __init__(self, frame_slots: Slots) -> None:
-        self.rest: Floats | None = None
+        self.halved: dict[int, NDArray[np.bool_]] | None = None
         by_slot = np.argsort(frame_slots, kind="stable")
         ordered = frame_slots[by_slot]
         starts = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
@@ -64,8 +66,6 @@ class Grouping:
         self.slots = ordered[starts][appearance]
         self.counts = counts[appearance]
         self.starts = np.cumsum(self.counts) - self.counts
-        self._in_order = bool((self.order[1:] > self.order[:-1]).all())
-        self._even = bool((counts == counts[0]).all())
 
     def __len__(self) -> int:
         return len(self.slots)
@@ -77,28 +77,28 @@ class Grouping:
         in_order = np.argsort(frames)
         return Grouping(slots[in_order]), frames[in_order]
 
-    def sum(self, x: NDArray[Any], decay: float) -> NDArray[Any]:
-        """Sum of each UE's frames of `x` (K, ...), weighted decay**(frames of that UE that follow)."""
-        if self.single:
-            return x
-        if decay != 1.0 or not self._in_order:
-            x = x[self.order]
-        if decay != 1.0:
-            follow = np.repeat(self.starts + self.counts, self.counts) - 1 - np.arange(len(x))
-            weight = np.power(decay, follow).astype(x.real.dtype)
-            x *= weight.reshape(-1, *[1] * (x.ndim - 1))
-        if self._even:  # several times faster than reduceat
-            total: NDArray[Any] = x.reshape(len(self), -1, *x.shape[1:]).sum(axis=1)
-            return total
-        return np.add.reduceat(x, self.starts, axis=0)
+    @cached_property
+    def busiest(self) -> NDArray[np.intp]:
+        """Index (U,) of the UEs, those with the most frames first."""
+        return np.argsort(-self.counts, kind="stable")
 
-    def fade(self, decay: float) -> Floats:
-        """What is left of each UE's earlier sum after this block: decay**frames, (U,)."""
-        return np.power(decay, self.counts)
+    @cached_property
+    def rounds(self) -> tuple[NDArray[np.intp], list[int]]:
+        """The block's frames, index (K,): each UE's first one, the `busiest` first, each one's second one ...
+
+        And how many each round has: its frames are those of so many of the busiest.
+        """
+        number = np.arange(len(self.order)) - np.repeat(self.starts, self.counts)
+        rank = np.empty(len(self), np.intp)
+        rank[self.busiest] = np.arange(len(self))
+        turn = np.argsort(number * len(self) + np.repeat(rank, self.counts))
+        return self.order[turn], np.bincount(number).tolist()
 
 
 class Bank(SlotState):
     """Weighted sums by slot.
+
+    Frames are added one after the other, so that sums are the same to the bit whatever blocks they came in.
 
     Parameters
     ----------
@@ -125,26 +125,40 @@ class Bank(SlotState):
 
     def add(self, group: Grouping, x: NDArray[Any]) -> NDArray[Any]:
         """Add a block's frames `x` (K, ...); returns the new sums of the block's UEs, (U, ...)."""
-        new = self.rows[group.slots]
-        if self.decay != 1.0:
-            reals = new.view(new.real.dtype)
-            if group.single:
-                reals *= reals.dtype.type(self.decay)
-            else:
-                reals *= group.fade(self.decay).astype(reals.dtype).reshape(-1, *[1] * (reals.ndim - 1))
-        if group.rest is not None:
-            new *= group.rest.astype(new.real.dtype).reshape(-1, *[1] * (new.ndim - 1))
-        new += group.sum(x, self.decay)
+        halved = group.halved or {}
+        if group.single:
+            new = self.rows[group.slots]
+            self._go_on(new, x, halved.get(0))
+        else:
+            frames, counts = group.rounds
+            x, busiest, done = x[frames], group.busiest, 0
+            by_frames = self.rows[group.slots[busiest]]
+            for number, count in enumerate(counts):
+                half = halved.get(number)
+                part = None if half is None else half[busiest[:count]]
+                self._go_on(by_frames[:count], x[done : done + count], part)
+                done += count
+            new = np.empty_like(by_frames)
+            new[busiest] = by_frames
         self.rows[group.slots] = new
         return new
+
+    def _go_on(self, sums: NDArray[Any], x: NDArray[Any], halved: NDArray[np.bool_] | None) -> None:
+        """One frame `x` (U, ...) more in each of the sums (U, ...), in place."""
+        if halved is not None:
+            sums[halved] *= sums.real.dtype.type(0.5)
+        if self.decay != 1.0:
+            reals = sums.view(sums.real.dtype)
+            reals *= reals.dtype.type(self.decay)
+        sums += x
 
 
 class Weights(SlotState):
     """Sum of weights W and of squared weights by slot: how many frames stand behind an average."""
 
     def __init__(self, decay: float) -> None:
-        self._sum = Bank((), np.float64, decay)
-        self._squares = Bank((), np.float64, decay * decay)
+        self._decay = decay
+        self._sum, self._squares = Bank((), np.float64), Bank((), np.float64)
         super().__init__(sum=self._sum, squares=self._squares)
 
     def add(self, group: Grouping) -> tuple[Floats, Floats]:
@@ -152,14 +166,44 @@ class Weights(SlotState):
 
         Returns W and the effective number of frames W^2 / sum w^2, each (U,).
         """
-        before = self._sum.rows[group.slots]
-        if group.rest is None and (full := before >= MOST_WEIGHT).any():
-            group.rest = np.where(full, 0.5, 1.0)
-        if group.rest is not None:
-            self._squares.rows[group.slots] *= group.rest  # once more below: these are squares
-        ones = np.ones(len(group.order))
-        weight = self._sum.add(group, ones)
-        return weight, weight * weight / self._squares.add(group, ones)
+        weight, squares = self._sum.rows[group.slots], self._squares.rows[group.slots]
+        if group.halved is None:
+            group.halved = self._full(group, weight)
+        done = np.zeros(len(group), np.intp)
+        for number, half in group.halved.items():
+            frames = np.where(half, number - done, 0)
+            weight, squares = self._after(weight, squares, frames)
+            weight[half] *= 0.5
+            squares[half] *= 0.25
+            done += frames
+        weight, squares = self._after(weight, squares, group.counts - done)
+        self._sum.rows[group.slots], self._squares.rows[group.slots] = weight, squares
+        return weight, weight * weight / squares
+
+    def _after(self, weight: Floats, squares: Floats, frames: NDArray[np.intp]) -> tuple[Floats, Floats]:
+        """W and the sum of squared weights (U,) after so many more frames (U,)."""
+        if self._decay == 1.0:
+            return weight + frames, squares + frames
+        left = np.power(self._decay, frames)
+        gone, squared = 1 - left, 1 - left * left
+        return (
+            weight * left + gone / (1 - self._decay),
+            squares * left * left + squared / (1 - self._decay * self._decay),
+        )
+
+    def _full(self, group: Grouping, weight: Floats) -> dict[int, NDArray[np.bool_]]:
+        """Before which of their frames UEs reach `MOST_WEIGHT`, see `Grouping.halved`."""
+        halved: dict[int, NDArray[np.bool_]] = {}
+        if weight.max() + group.counts.max() <= MOST_WEIGHT:
+            return halved
+        weight = weight.copy()
+        for number in range(int(group.counts.max())):
+            full = (weight >= MOST_WEIGHT) & (group.counts > number)
+            if full.any():
+                halved[number] = full
+                weight[full] *= 0.5
+            weight = weight * self._decay + 1
+        return halved
 
     def fade(self, slots: Slots, factor: Floats) -> None:
         """Have what came so far count `factor` (U,) times as much."""

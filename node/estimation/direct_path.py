@@ -28,6 +28,7 @@ from chachart.node.estimation.lattice import Lattice
 from chachart.node.estimation.locator import Columns
 from chachart.node.estimation.manifold import AngleManifold, DelayManifold
 from chachart.node.estimation.periodogram import Periodogram, Power
+from chachart.node.estimation.products import row_products
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -245,8 +246,8 @@ class DirectPath:
         delays = np.bincount(ue * d + j, share, k * d).reshape(k, d).astype(np.float32)
         angles = np.bincount(ue * a + i, share, k * a).reshape(k, a).astype(np.float32)
         score = np.log(np.maximum(share, np.float32(1e-30)))
-        excess = (delays @ self._delay_cost)[ue, j]
-        beside = (angles @ self._angle_cost)[ue, i]
+        excess = row_products(delays, self._delay_cost)[ue, j]
+        beside = row_products(angles, self._angle_cost)[ue, i]
         score -= excess
         score -= beside
         candidates = Candidates(ue, i, j, share, excess, beside, score)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from chachart.node.estimation.circle import Circle
 from chachart.node.estimation.lattice import Lattice
-from chachart.node.estimation.manifold import phasors
 from chachart.node.estimation.noise import NoiseFloor
 
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -64,15 +63,17 @@ class AxisEvidence:
         self._away = np.abs(offsets) / 2 > LOBE
         self._near = self._away & (np.abs(offsets) / 2 <= NEAR)
 
-    def of(self, lags: Complex, u: Floats, u_std: Floats, snapshots: Floats) -> Floats:
+    def of(self, lags: Complex, turned: Complex, u_std: Floats, snapshots: Floats) -> Floats:
         """Evidence (U, F) on estimates.
 
         Parameters
         ----------
         lags
             (U, L) of covariances per element, lags[:, 0] being the mean power.
-        u, u_std
-            (U,) the estimates, and their deviation if noise were all.
+        turned
+            (U, L) their terms at the estimate, c_k exp(j k u).
+        u_std
+            (U,) deviation of the estimate if noise were all.
         snapshots
             (U,) behind each covariance.
         """
@@ -81,14 +82,16 @@ class AxisEvidence:
         noise = np.minimum(self._floor.power(lags, snapshots), total)
         noise = np.maximum(noise, LEAST * LEAST * total)
         signal = np.maximum(total - noise, total / np.sqrt(n * snapshots))
-        turned = lags * phasors(u, self._lattice.lags).T
         coherence = turned[:, self._picked] * self._scale[self._picked] / signal[:, None]
         beams = self._around.values(turned)
         beams -= noise[:, None].astype(np.float32)
         beams /= (n * signal)[:, None].astype(np.float32)
-        path = beams[:, len(self._away) // 2]
-        near = np.maximum(beams[:, self._near], 0).sum(axis=1) / 2 if self._near.any() else 0 * path
-        highest = beams[:, self._away].max(axis=1) if self._away.any() else 0 * path
+        # not one of the beams, whose rounding may be all that is left
+        path = (turned.real.sum(axis=1) - noise) / (n * signal)
+        near = (
+            np.maximum(beams[:, self._near], 0).sum(axis=1) / 2 if self._near.any() else np.zeros(len(lags))
+        )
+        highest = beams[:, self._away].max(axis=1) if self._away.any() else np.zeros(len(lags))
         columns = [
             np.log(u_std * self._lattice.span / (2 * np.pi)),
             np.log(signal / noise),
@@ -97,7 +100,7 @@ class AxisEvidence:
             *(_log(np.abs(coherence.imag[:, i])) for i in range(len(LAGS))),
             _log(near),
             _log(highest),
-            np.full(len(u), np.log(self._cell)),
+            np.full(len(lags), np.log(self._cell)),
         ]
         return np.stack(columns, axis=1)
 

@@ -18,6 +18,7 @@ from scipy.special import ndtr
 
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.lattice import SPARSE, Lattice, Whole
+from chachart.node.estimation.products import row_products
 
 Complex = NDArray[np.complexfloating[Any, Any]]
 Floats = NDArray[np.float64]
@@ -203,8 +204,7 @@ class Search:
         real = c.real.dtype
         if real not in self._tables:
             self._tables[real] = polynomial_table(self.grid, self.manifold.lattice.lags).astype(real)
-        values: NDArray[Any] = c.view(real) @ self._tables[real]
-        return values
+        return row_products(c.view(real), self._tables[real])
 
     def extremum(self, c: Complex, *, maximum: bool) -> tuple[Floats, Floats]:
         """u (K,) where the polynomials (K, L) are largest or least, and their values there (K,).
@@ -244,7 +244,11 @@ def _descend(
     steps: int,
     converged: float,
 ) -> tuple[Floats, Floats]:
-    """Newton steps from u (K,) to a minimum of c (L, K) within [low, high], and the value there."""
+    """Newton steps from u (K,) to a minimum of c (L, K) within [low, high], and the value there.
+
+    Each stays where its step was small enough, whatever the others still do.
+    """
+    done = np.zeros(len(u), np.bool_)
     for _ in range(steps):
         value, slope, curvature = derivatives(c, u, lattice)
         target = u - slope / curvature
@@ -253,9 +257,10 @@ def _descend(
             uphill = slope > 0
             low, high = np.where(uphill, low, u), np.where(uphill, u, high)
             target = np.where(sound & (target >= low) & (target <= high), target, (low + high) / 2)
-        step = target - u
-        u = target
-        if np.abs(step).max() < converged:
+        step = np.where(done, 0, target - u)
+        u = u + step
+        done |= np.abs(step) < converged
+        if done.all():
             break
     return u, value + step * (slope + 0.5 * step * curvature)
 

@@ -20,6 +20,7 @@ from scipy import fft
 
 from chachart.node.estimation.covariance import Bank, Grouping, Weights
 from chachart.node.estimation.lattice import Lattice
+from chachart.node.estimation.products import row_products
 from chachart.node.estimation.state import Slots, SlotState
 
 Csi = NDArray[np.complex64]
@@ -99,7 +100,7 @@ class Interpolator:
         """(K, 3, grid): what to weigh the grid's values with for value, slope and curvature at x (K,)."""
         angle = np.asarray(x, np.float32)[:, None] * self._order
         rows = np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
-        weights: Power = (rows @ self._table).reshape(len(rows), 3, -1)
+        weights: Power = row_products(rows, self._table).reshape(len(rows), 3, -1)
         return weights
 
 

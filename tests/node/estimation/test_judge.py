@@ -57,7 +57,8 @@ def test_a_lone_wave_leaves_nothing_unexplained() -> None:
     lags[:, 0] = 1 + 0.01
 
     def named_evidence(lags: np.ndarray) -> dict[str, np.ndarray]:
-        columns = AxisEvidence(lattice, 0.1).of(lags, u, np.full(2, 1e-3), np.full(2, 1e4)).T
+        turned = lags * np.exp(1j * np.outer(u, lattice.lags))
+        columns = AxisEvidence(lattice, 0.1).of(lags, turned, np.full(2, 1e-3), np.full(2, 1e4)).T
         return dict(zip(AxisEvidence.NAMES, columns, strict=True))
 
     named = named_evidence(lags)
