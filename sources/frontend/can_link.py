@@ -11,8 +11,8 @@ from chachart.sources.frontend.can_bus import CanBusSettings, open_bus
 from chachart.sources.frontend.device import Link
 from chachart.sources.frontend.isotp_link import make_layer
 
-FLOW_CONTROL_MS = 2000
-"""How long the device waits for the node to say go on ..."""
+FLOW_CONTROL_MS = 15_000
+"""How long the device waits for the node to say go on, on a busy host too ..."""
 DAMAGED_FLOW_CONTROL_MS = 50
 """... and how long where it has spoiled the packet itself."""
 

@@ -25,6 +25,10 @@ LOGGER = "chachart.isotp"
 logging.getLogger(LOGGER).setLevel(logging.CRITICAL)
 
 
+CONSECUTIVE_MS = 5000
+"""How long a packet that has begun may stand still: ISO 15765-2 says 1 s, a busy host may take longer."""
+
+
 def make_layer(
     receive: Callable[[float], isotp.CanMessage | None],
     send: Callable[[isotp.CanMessage], None],
@@ -41,7 +45,13 @@ def make_layer(
         txfn=send,
         address=isotp.Address(mode, txid=tx_id, rxid=rx_id),
         error_handler=on_error,
-        params={"blocksize": 0, "stmin": 0, "logger_name": LOGGER, **parameters},
+        params={
+            "blocksize": 0,
+            "stmin": 0,
+            "rx_consecutive_frame_timeout": CONSECUTIVE_MS,
+            "logger_name": LOGGER,
+            **parameters,
+        },
     )
 
 
