@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from chachart.node.data.columns import COLUMNS
 from chachart.node.data.extras import require
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.data.methods import FUSION
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,6 +103,16 @@ class ChartUpdate:
     def position(self) -> NDArray[np.float32] | None:
         """Known reference positions (K, 3), or None."""
         return self.columns.get("position")
+
+    def truth_of(self, array: ArrayGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Known positions in the coordinates of x and y: the world's, or those of a line's own chart.
+
+        NaN where unknown.
+        """
+        known = np.asarray(self["position"], np.float64)
+        if self.method.theta == FUSION:
+            return known[:, 0], known[:, 1]
+        return array.chart_of(known)
 
     def __len__(self) -> int:
         return len(self.columns["ue"])

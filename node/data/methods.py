@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Final, Literal
 
 SpectralMethod = Literal["bartlett", "mvdr", "minnorm", "music"]
 AmplitudeMethod = Literal["isq", "lr"]
 ThetaMethod = Literal[SpectralMethod, "joint", "none"]
 RhoMethod = Literal[SpectralMethod, "joint", AmplitudeMethod, "none"]
+
+FUSION: Final = "fusion"
+"""What rows of fused or tracked positions say instead: those are in world metres."""

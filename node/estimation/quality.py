@@ -85,7 +85,7 @@ def assess(chart: ChartUpdate, array: ArrayGeometry, k: int | None, exact_ues: i
         raise ValueError("no reference position is known")
     if in_degrees(chart.position):
         raise ValueError("the known positions lie within a centimetre: they look like degrees, not metres")
-    truth = np.stack(array.chart_of(chart.position), axis=1)
+    truth = np.stack(chart.truth_of(array), axis=1)
     estimate = np.stack([chart.x, chart.y], axis=1)
     sampled = len(chart) > exact_ues
     near = neighbourhoods(truth, estimate, k, rng=np.random.default_rng(len(chart)) if sampled else None)

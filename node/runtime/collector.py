@@ -58,7 +58,7 @@ class Collector:
         for sink_class, settings in plan.sinks:
             if not sink_class.wants_csi:
                 made = sink_class(settings, plan.array)
-                made.security = plan.security
+                made.security, made.others = plan.security, plan.others
                 sink = SinkThread(made, settings.type, SINK_QUEUE)
                 sink.open(node)
                 self.sinks.append(sink)

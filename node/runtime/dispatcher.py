@@ -208,7 +208,7 @@ class Dispatcher:
         done = self._queues.acknowledge(shard, values["seqs"], values["estimated"], values["dropped"], now)
         peer = self._links.peers[shard]
         if peer is not None:
-            peer.status = {"ues": values["ues"], **values["counters"]}
+            peer.status = {"ues": values["ues"], "arrays": values["arrays"], **values["counters"]}
             self._hellos[shard]["ues"] = values["ues"]
         if update and done:
             header = messages.pack({"arrivals": [pair for content in done for pair in content.arrivals]})

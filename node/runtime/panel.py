@@ -34,6 +34,7 @@ def panel(status: dict[str, Any], width: int = 120) -> Panel:
     if status["reason"]:
         parts += [Text(words(status), "red"), Text()]
     parts += [_source(source) for source in status["sources"]]
+    parts += [Text.assemble((f"array {one['name']} ", "dim"), array_words(one)) for one in status["arrays"]]
     parts += [_worker(worker) for worker in status["workers"]]
     parts += [
         Text.assemble((f"{sink['name']} ", "dim"), sink["where"], _lost(sink))
@@ -104,6 +105,16 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
         if sink["dropped"] or sink["errors"]
     ]
     return lines
+
+
+def array_words(array: dict[str, Any]) -> str:
+    """How one of several arrays does.
+
+    >>> array_words({"name": "C", "share": 0.4, "offset_ns": 3.1})
+    '40 % of the transmissions, clock 3.1 ns late'
+    """
+    late = "" if array["offset_ns"] is None else f", clock {array['offset_ns']:.1f} ns late"
+    return f"{100 * array['share']:.0f} % of the transmissions{late}"
 
 
 def counts(by_reason: dict[str, int]) -> str:

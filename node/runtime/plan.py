@@ -146,15 +146,18 @@ class Plan:
             found += settings.exposure(self.security) + sink.problems(settings)
         found += self._shared_endpoints()
         found += self._state_problems()
-        found += estimator_problems(self.array, self.estimator) if self.several() is None else self._misfits()
+        found += self.misfits()
         return list(dict.fromkeys(found))
 
-    def _misfits(self) -> Iterator[str]:
-        """Why the arrays cannot be fused or their UEs tracked."""
+    def misfits(self) -> list[str]:
+        """Why the array cannot be charted, or several cannot be fused or their UEs tracked."""
+        if self.several() is None:
+            return estimator_problems(self.array, self.estimator)
         try:
             estimator_of(self.array, self.estimator.keywords() | {"max_ues": 1}, self.several())
         except ValueError as error:
-            yield f"[fusion]: {error}"
+            return [f"[fusion]: {error}"]
+        return []
 
     def _state_problems(self) -> Iterator[str]:
         directory = self.state.directory

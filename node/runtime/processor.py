@@ -228,6 +228,11 @@ class BlockProcessor:
         if self._estimator.method != Method(theta, rho):
             self._estimator.set_method(theta, rho)
 
+    def array_report(self) -> list[dict[str, Any]]:
+        """How each of several arrays does; nothing of one that is charted on its own."""
+        fused = self._estimator
+        return fused.array_report() if isinstance(fused, FusedEstimator) else []
+
     def spectrum(self, ue: int) -> dict[str, Any]:
         """See `NodeAccess`.
 

@@ -50,11 +50,13 @@ class Reporter:
         frames_in, estimated = fed.get("frames_in", 0), fed.get("frames_estimated", 0)
         rates = self._rates.add(time.monotonic(), frames_in, estimated)
         workers = self._worker_reports()
+        for_arrays = [worker.pop("arrays", []) for worker in workers]
         status = NodeStatus(
             state=state,
             array=self._plan.array.name,
             source=self._plan.source_settings.type,
             sources=self._sources.reports(fed),
+            arrays=_arrays(for_arrays),
             method=method,
             lossless=not self._collector.clock.live,
             seconds=seconds,
@@ -104,3 +106,20 @@ class Reporter:
             {"shard": shard, "ues": 0, **worker, "restarts": child.restarts, "pid": child.pid}
             for shard, (child, worker) in enumerate(zip(children, known, strict=True))
         ]
+
+
+def _arrays(reports: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """What all workers say of the arrays together: {name, share, offset_ns}."""
+    told = [report for report in reports if report]
+    found = []
+    for of_one in zip(*told, strict=True):
+        transmissions = sum(one["transmissions"] for one in of_one)
+        offsets = sorted(one["offset_ns"] for one in of_one if one["offset_ns"] is not None)
+        found.append(
+            {
+                "name": of_one[0]["name"],
+                "share": sum(one["heard"] for one in of_one) / transmissions if transmissions else 0.0,
+                "offset_ns": offsets[len(offsets) // 2] if offsets else None,
+            }
+        )
+    return found

@@ -76,6 +76,9 @@ class NodeStatus:
     sources
         Where there are several, one map each: {name (its arrays), type, pid, restarts, live, frames, quiet_s
         (since its last frame), ended, details}; pid is None while there is no process.
+    arrays
+        Where several are fused, one map each: {name, share (of the last transmissions that it has heard),
+        offset_ns (how late its clock is, None where that means nothing)}.
     """
 
     state: str = "starting"
@@ -117,6 +120,7 @@ class NodeStatus:
     antennas: dict[str, Any] = field(default_factory=dict)
     source_details: dict[str, Any] = field(default_factory=dict)
     sources: list[dict[str, Any]] = field(default_factory=list)
+    arrays: list[dict[str, Any]] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values."""

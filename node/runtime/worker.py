@@ -144,6 +144,7 @@ class Worker:
             "dropped": outcome.dropped,
             "ues": self._processor.ues,
             "counters": {"untrained": self._processor.untrained, **self._counters.as_dict()},
+            "arrays": self._processor.array_report(),
         }
         known = outcome.update is None or again
         result = b"" if known or outcome.update is None else messages.pack_update(outcome.update)

@@ -36,7 +36,7 @@ def quality_curve(chart: ChartUpdate | None, array: ArrayGeometry) -> dict[str, 
     known = np.flatnonzero(np.isfinite(position).all(axis=1) & np.isfinite(chart.x) & np.isfinite(chart.y))
     if len(known) > MOST_UES:
         known = np.random.default_rng(SEED).choice(known, MOST_UES, replace=False)
-    truth = np.stack(array.chart_of(position[known]), axis=1)
+    truth = np.stack(chart.truth_of(array), axis=1)[known]
     estimate = np.stack([chart.x[known], chart.y[known]], axis=1)
     counts = sorted({k for share in SHARES if 1 <= (k := round(share * len(known))) < len(known) / 2})
     if not counts:

@@ -24,10 +24,10 @@ _BYTES = {"u8": 8, "i8": 8, "f4": 4, "u4": 4, "i4": 4}
 
 def encode_frame(update: ChartUpdate, array: ArrayGeometry, full: bool) -> bytes:
     """The frame of an update; reference positions are also there in chart coordinates, `true_x`, `true_y`."""
-    columns = [(name, *_raw(values)) for name, values in update.flat().items()]
+    columns = [(name, *_raw(name, values)) for name, values in update.flat().items()]
     if update.position is not None:
-        true = zip(("true_x", "true_y"), array.chart_of(update.position), strict=True)
-        columns += [(name, *_raw(values)) for name, values in true]
+        true = zip(("true_x", "true_y"), update.truth_of(array), strict=True)
+        columns += [(name, *_raw(name, values)) for name, values in true]
     columns.sort(key=lambda column: -_BYTES[column[1]])  # the wide ones first: all are aligned
     header = json.dumps(
         {
@@ -59,8 +59,8 @@ def describe() -> list[dict[str, Any]]:
     ]
 
 
-def _raw(values: NDArray[Any]) -> tuple[str, bytes]:
-    """Kind and bytes of a column: floats are sent as float32, whole numbers as they are or as 32 bits."""
-    width = 4 if values.dtype.kind == "f" else max(4, values.dtype.itemsize)
+def _raw(name: str, values: NDArray[Any]) -> tuple[str, bytes]:
+    """Kind and bytes of a column: 4 bytes a number, but 8 for UEs and times."""
+    width = 8 if name in ("ue", "time_ns") else 4
     kind = f"{values.dtype.kind}{width}"
     return kind, values.astype(f"<{kind}").tobytes()

@@ -109,17 +109,19 @@ class Hub:
 
     Parameters
     ----------
-    array, node
-        The array and the node that the view belongs to.
+    arrays, node
+        The arrays and the node that the view belongs to.
     rate_hz
         Chart frames a second.
     history
         The chart of the last minutes.
     """
 
-    def __init__(self, array: ArrayGeometry, node: NodeAccess, rate_hz: float, history: History) -> None:
+    def __init__(
+        self, arrays: tuple[ArrayGeometry, ...], node: NodeAccess, rate_hz: float, history: History
+    ) -> None:
         self.viewers: set[Viewer] = set()
-        self.array = array
+        self.array, self.arrays = arrays[0], arrays
         self.rate_hz = rate_hz
         self.history = history
         self._node = node

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any, get_args
 
@@ -105,7 +105,7 @@ class Reception:
                 "may_steer": role >= Role.STEERER,
                 "array": self._hub.array.as_dict(),
                 "places": _places(self._hub.array),
-                "pose": _pose(self._hub.array),
+                "pose": _pose(self._hub.arrays),
                 "plan": self._plan.describe(),
                 "columns": describe(),
                 **self._told,
@@ -170,9 +170,13 @@ def _places(array: ArrayGeometry) -> list[list[float]] | None:
     return places
 
 
-def _pose(array: ArrayGeometry) -> dict[str, Any]:
-    """Where the array is on the chart, the direction of its row, and where it looks."""
-    if array.is_line:
-        return {"at": [0.0, 0.0], "along": [0.0, 1.0], "normal": [1.0, 0.0], "world": False}
-    at, along, normal = (v[:2].round(4).tolist() for v in (array.centre_m, array.right, array.normal))
-    return {"at": at, "along": along, "normal": normal, "world": True}
+def _pose(arrays: Sequence[ArrayGeometry]) -> dict[str, Any]:
+    """Where `arrays` are in the world, the directions of their rows, and where they look.
+
+    A line that is charted on its own has a chart of its own: `world` is False then.
+    """
+    posed = []
+    for array in arrays:
+        at, along, normal = (v[:2].round(4).tolist() for v in (array.centre_m, array.right, array.normal))
+        posed.append({"name": array.name, "at": at, "along": along, "normal": normal})
+    return {"arrays": posed, "world": len(arrays) > 1 or not arrays[0].is_line}

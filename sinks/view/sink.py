@@ -92,7 +92,7 @@ class View(WebSink):
 
     def _serve(self, node: NodeAccess, routes: Mapping[str, Route]) -> WebServer:
         names = load_names(self.settings.names) if self.settings.names else {}
-        self._hub = Hub(self.array, node, self.settings.rate_hz, self._history)
+        self._hub = Hub((self.array, *self.others), node, self.settings.rate_hz, self._history)
         operations = Operations(node, self.settings.record_folder)
         plan = FloorPlan(self.settings.plan_folder)
         page_id = hashlib.sha256(b"".join(self._pages.values())).hexdigest()[:16]

@@ -73,6 +73,7 @@ class _Collector(Collector):
         yield GaugeMetricFamily("chachart_ues", "UEs on the chart.", value=status["ues"])
         yield _latency(status["latency_histogram"])
         yield from self._sources()
+        yield from self._arrays()
         yield from self._workers()
         yield from self._sinks()
         yield from self._quality()
@@ -92,6 +93,20 @@ class _Collector(Collector):
             restarts.add_metric([source["name"]], source["restarts"])
             quiet.add_metric([source["name"]], source["quiet_s"])
         yield from (frames, restarts, quiet)
+
+    def _arrays(self) -> Iterator[Metric]:
+        """Of several arrays each."""
+        share = GaugeMetricFamily(
+            "chachart_array_share", "Part of the transmissions that an array hears.", labels=["array"]
+        )
+        offset = GaugeMetricFamily(
+            "chachart_array_offset_seconds", "By how much an array's clock is late.", labels=["array"]
+        )
+        for array in self._status["arrays"]:
+            share.add_metric([array["name"]], array["share"])
+            if array["offset_ns"] is not None:
+                offset.add_metric([array["name"]], array["offset_ns"] * 1e-9)
+        yield from (share, offset)
 
     def _workers(self) -> Iterator[Metric]:
         workers = self._status["workers"]

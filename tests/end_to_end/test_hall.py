@@ -23,6 +23,7 @@ def hall(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[NodeS
     count = len(load(Path(request.param)).feeds)
     sources = [f"source.{number}" for number in range(count)] if count > 1 else ["source"]
     changes = [f"{source}.loopback.scenario.motion=static" for source in sources]
+    changes += [f"{source}.loopback.scenario.frame_rate_hz=16" for source in sources]
     changes += [
         f"sinks.publisher.endpoint=ipc://{tmp_path}/charts",
         f"sinks.control.endpoint=ipc://{tmp_path}/c",

@@ -89,9 +89,7 @@ class Table:
                 for name, values in column.flat(chart[column.name]):
                     yield column.file_name(name), column.decimals, values
         if "position" in self.names:
-            for name, values in zip(
-                ("true_x_m", "true_y_m"), self.array.chart_of(chart["position"]), strict=True
-            ):
+            for name, values in zip(("true_x_m", "true_y_m"), chart.truth_of(self.array), strict=True):
                 yield name, COLUMNS["x"].decimals, values
 
     @staticmethod

@@ -35,7 +35,7 @@ def draw(what: Charted) -> Figure:
     chart = what.chart
     true_x, true_y = np.full((2, len(chart)), np.nan)
     if chart.position is not None:
-        true_x, true_y = what.array.chart_of(chart.position)
+        true_x, true_y = chart.truth_of(what.array)
     known = np.isfinite(true_x) & np.isfinite(true_y)
     colours = position_colours(true_x, true_y, known)
     everyone = np.ones(len(chart), bool)

@@ -199,7 +199,7 @@ class Charted:
             raise SetupError(
                 f"{self.name}: {len(known)} UEs have a known position; to compare, {FEWEST_UES} are needed"
             )
-        truth = np.stack(self.array.chart_of(position[known]), axis=1)
+        truth = np.stack(self.chart.truth_of(self.array), axis=1)[known]
         return truth, np.stack([self.chart.x[known], self.chart.y[known]], axis=1)
 
 

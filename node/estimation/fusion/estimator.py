@@ -15,13 +15,16 @@ from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.facts import Delay
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.data.methods import FUSION
 from chachart.node.estimation.fusion.area import Area
 from chachart.node.estimation.fusion.certainty import Fused
 from chachart.node.estimation.fusion.events import Events, Gathering
 from chachart.node.estimation.fusion.fuser import Clock, Fuser
+from chachart.node.estimation.fusion.looks import Looks
 from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
 from chachart.node.estimation.fusion.receiver import Receiver
 from chachart.node.estimation.fusion.sighted import sightings
+from chachart.node.estimation.fusion.watch import ArrayWatch
 from chachart.node.estimation.locator import Locator
 from chachart.node.estimation.memory import Copy, Memory
 from chachart.node.estimation.options import Options
@@ -30,7 +33,7 @@ from chachart.node.estimation.state import ROWS, Slots, SlotState, Snapshot
 from chachart.node.estimation.tracking.smoother import Logbook
 from chachart.node.estimation.tracking.tracker import Tracked, Tracker
 
-METHOD: Final = Method("fusion", "fusion")
+METHOD: Final = Method(FUSION, FUSION)
 ECHOES_SHARE = 0.25
 """Part of a fused position's covariance that stays however many follow: echoes shift them all alike."""
 LEAST_ENERGY, MOST_ENERGY = 1e-28, 1e28
@@ -86,6 +89,7 @@ class FusedEstimator:
         shapes = [receiver.shape for receiver in self._receivers]
         self._gathering = Gathering(shapes, self.fusion.window_ms)
         self._memory, self._tracker = self._remembering()
+        self._looks, self._watch = Looks(sites, self.arrays), ArrayWatch(sites, self.clock)
         self.rejected, self.heard = Counters(), Counters()
         self.logbook: Logbook | None = None
 
@@ -147,13 +151,19 @@ class FusedEstimator:
         slots = table.unseen_since(now_ns - round(self.options.forget_after_s * 1e9))
         gone = table.ues(slots)
         table.remove(slots)
+        self._looks.remove(gone)
         return gone
 
     def set_method(self, theta: str, rho: str) -> None:
         """Nothing: fusion has one method, whatever single arrays are charted with."""
 
-    def spectrum(self, ue: int) -> None:
-        """None: a fused position has no spectrum over one angle."""
+    def spectrum(self, ue: int) -> dict[str, Any] | None:
+        """What each array says of a UE, see `Looks.spectrum`; None where it is not known."""
+        return self._looks.spectrum(ue)
+
+    def array_report(self) -> list[dict[str, Any]]:
+        """How each array does, see `ArrayWatch.report`."""
+        return self._watch.report()
 
     def copy(self) -> Copy:
         """As `ChartEstimator.copy`: of all tracks. Frames that wait for other arrays are not in it."""
@@ -238,9 +248,12 @@ class FusedEstimator:
 
     def _row(self, events: Events) -> ChartUpdate:
         slots = self._memory.assign(events.ue, events.time_ns).slots
+        near = None if self._tracker is None else self._near(slots, events.time_ns)
+        fused = self._fuser.locate(events.frames, near)
+        self._looks.see(events, fused)
+        self._watch.see(events, fused)
         if self._tracker is None:
-            return self._published(events, self._fuser.locate(events.frames), None)
-        fused = self._fuser.locate(events.frames, self._near(slots, events.time_ns))
+            return self._published(events, fused, None)
         tracked = self._tracker.update(slots, events.time_ns, sightings(fused))
         if self.logbook is not None:
             models = self._tracker.models(slots)

@@ -64,7 +64,8 @@ export function drawPane(context, pane, colours, ratio, pose) {
     if (at > top + 5 * ratio && at < bottom - 2 * ratio) context.fillText(tickText(y, ys), left - 6 * ratio, at);
   }
   labels(context, pane, ratio, pose);
-  drawArray(context, pane, colours, ratio, pose);
+  const arrays = arraysOf(pose);
+  for (const array of arrays) drawArray(context, pane, colours, ratio, array, arrays.length > 1);
   scaleBar(context, pane, colours, ratio);
   if (Number.isFinite(pose?.heading_deg)) compass(context, pane, colours, ratio, pose.heading_deg);
   if (pane.title) {
@@ -90,9 +91,14 @@ function labels(context, { left, top, right, bottom, labelled }, ratio, pose) {
   context.restore();
 }
 
-/** The array as a row of dots, and faint lines 60° to both sides of where it looks. */
-function drawArray(context, { left, top, right, bottom, x0, y0, scale }, colours, ratio, pose) {
-  const { at = [0, 0], along = [0, 1], normal = [1, 0] } = pose ?? {};
+/** A line's own chart: it is at the origin and looks along x. */
+const OWN = { name: '', at: [0, 0], along: [0, 1], normal: [1, 0] };
+
+/** The arrays that a pane shows, and where they are in its coordinates. */
+export const arraysOf = (pose) => (pose?.world ? pose.arrays : [OWN]);
+
+/** An array as a row of dots, and faint lines 60° to both sides of where it looks; its name where it is one of several. */
+function drawArray(context, { left, top, right, bottom, x0, y0, scale }, colours, ratio, { name, at, along, normal }, named) {
   const [x, y] = [x0 + at[0] * scale, y0 - at[1] * scale];
   if (x < left || x > right || y < top || y > bottom) return;
   context.save();
@@ -113,6 +119,12 @@ function drawArray(context, { left, top, right, bottom, x0, y0, scale }, colours
   context.restore();
   context.fillStyle = colours.text;
   for (let i = -2; i <= 2; i++) context.fillRect(x + along[0] * i * 4 * ratio - 1.5 * ratio, y - along[1] * i * 4 * ratio - 1.5 * ratio, 3 * ratio, 3 * ratio);
+  if (!named) return;
+  context.font = font(ratio, 10.5);
+  context.textAlign = 'center';
+  context.textBaseline = 'middle';
+  const away = Math.hypot(...normal) || 1;
+  context.fillText(name, x - (normal[0] / away) * 16 * ratio, y + (normal[1] / away) * 12 * ratio);
 }
 
 function scaleBar(context, { left, bottom, scale }, colours, ratio) {

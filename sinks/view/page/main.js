@@ -1,6 +1,7 @@
 // Ties the stream, the chart, the panels and the controls together.
 
 import { showAntennas, showResponse } from './antennas.js';
+import { showArrays, showBearings } from './arrays.js';
 import { redraw } from './curve.js';
 import { showPaths, strongPaths, Waterfall } from './depth.js';
 import { saveCsv, savePng, saveSvg, stamp } from './export.js';
@@ -94,6 +95,7 @@ stream.addEventListener('hello', ({ detail }) => {
   names.take(hello.names);
   plan.take(hello.plan);
   picture.pose = { ...hello.pose, heading_deg: hello.heading_deg };
+  picture.bearings = [];
   const { array } = hello;
   $('array').textContent = `${array.name} · ${array.antennas} antennas · ${array.subcarriers} subcarriers · ${number(array.carrier_hz / 1e9)} GHz`;
   document.title = `${array.name} · chachart`;
@@ -109,12 +111,19 @@ stream.addEventListener('hello', ({ detail }) => {
 stream.addEventListener('chart', ({ detail: frame }) => {
   const first = world.rows === 0;
   world.apply(frame);
+  if (fused() && !picture.pose.world) {
+    picture.pose.world = true;
+    picture.touch(true);
+  }
   if (first) takeQuality();
   $('waiting').hidden = world.rows > 0;
   for (const kind of ['theta', 'rho']) if (document.activeElement !== $(kind)) $(kind).value = frame.method[kind];
   if (first && world.rows) measure();
   picture.touch();
 });
+
+/** Whether positions are fused from several arrays or tracked: then there is one method, and the chart is the world's. */
+const fused = () => world.method === 'fusion/fusion';
 
 stream.addEventListener('status', ({ detail }) => {
   statuses = [...statuses, detail].slice(-KEPT);
@@ -123,6 +132,8 @@ stream.addEventListener('status', ({ detail }) => {
 
 function takeStatus(status) {
   showNode(status, statuses);
+  showArrays(status);
+  $('method').hidden = fused();
   replay.take(status.source_details?.replay);
   history.take(status.history_s ?? 0, replay.shown);
   recordings.take(status.recording);
@@ -195,7 +206,11 @@ async function refresh() {
   const { ue } = picture;
   try {
     const spectrum = await stream.ask('spectrum', { ue: `${ue}` });
-    if (picture.ue === ue) showSpectra(spectrum, truth);
+    if (picture.ue === ue) {
+      showSpectra(spectrum, truth);
+      picture.bearings = showBearings(spectrum);
+      picture.touch();
+    }
     waterfall.take(ue, spectrum);
     const found = await stream.ask('antennas', { ue: `${ue}` });
     if (picture.ue !== ue) return;
@@ -217,6 +232,7 @@ async function refresh() {
 function select(ue) {
   picture.ue = ue;
   picture.paths = 0;
+  picture.bearings = [];
   picture.touch();
   refresh();
   const row = world.index.get(ue);

@@ -1,6 +1,6 @@
 // The chart itself: when to draw, and in which order.
 
-import { drawPane, font, themeColours } from './axes.js';
+import { arraysOf, drawPane, font, themeColours } from './axes.js';
 import { Colouring } from './colours.js';
 import { Scatter } from './scatter.js';
 import { View } from './view.js';
@@ -9,6 +9,7 @@ const TRAIL_ALPHA = 120;
 const TRAILS_EVERY_MS = 500;
 const TRAILS_SHARE = 0.05; // trails may take such a share of the time: with very many UEs they are drawn less often
 const GLIDE_MS = 70; // time constant with which points follow their estimates
+const MOST_VELOCITIES = 1000; // with more UEs their lines would hide the chart
 const OWN_PANE = 0.1; // share of UEs whose truth is known
 
 export class Picture {
@@ -80,11 +81,16 @@ export class Picture {
     const { world } = this;
     const spans = (columns) => {
       const found = columns.map((column) => world.spread(column, 0.001, 0.999)).filter(Boolean);
-      return found.length ? [Math.min(0, ...found.map((s) => s[0])), Math.max(0, ...found.map((s) => s[1]))] : null;
+      return found.length ? [Math.min(...found.map((s) => s[0])), Math.max(...found.map((s) => s[1]))] : null;
     };
     const truth = this.truthShown !== 'off';
-    const x = spans(truth ? [world.x, world.true_x] : [world.x]);
-    return x && [x, spans(truth ? [world.y, world.true_y] : [world.y])];
+    const of = (axis, columns) => {
+      const span = spans(columns);
+      const there = arraysOf(this.pose).map(({ at }) => at[axis]);
+      return span && [Math.min(span[0], ...there), Math.max(span[1], ...there)];
+    };
+    const x = of(0, truth ? [world.x, world.true_x] : [world.x]);
+    return x && [x, of(1, truth ? [world.y, world.true_y] : [world.y])];
   }
 
   /** The row of the UE drawn nearest to a point in CSS pixels, or -1. */
@@ -216,6 +222,10 @@ export class Picture {
       context.rect(pane.left, pane.top, pane.right - pane.left, pane.bottom - pane.top);
       context.clip();
       const [xs, ys] = this.#coordinates(pane);
+      if (pane.title === 'Chart') {
+        this.#velocities(context, pane, ratio);
+        if (selected >= 0) this.#bearings(context, pane, ratio);
+      }
       if (selected >= 0) this.#mark(context, pane, selected, xs, ys, ratio, true);
       if (this.hover >= 0 && this.hover !== selected && this.hover < this.world.rows) this.#mark(context, pane, this.hover, xs, ys, ratio, false);
       context.restore();
@@ -262,6 +272,38 @@ export class Picture {
     context.fillText(text, left + 5 * ratio, y);
   }
 
+  /** Where UEs will be in a second, where they are tracked, as a line each. */
+  #velocities(context, pane, ratio) {
+    const { world, colours } = this;
+    if (!this.trails || !world.present.has('vx') || world.rows > MOST_VELOCITIES) return;
+    context.strokeStyle = colours.text;
+    context.lineWidth = 1.2 * ratio;
+    context.beginPath();
+    for (let i = 0; i < world.rows; i++) {
+      const [x, y] = [pane.x0 + world.px[i] * pane.scale, pane.y0 - world.py[i] * pane.scale];
+      const [dx, dy] = [world.vx[i] * pane.scale, -world.vy[i] * pane.scale];
+      if (!Number.isFinite(x + y + dx + dy) || Math.hypot(dx, dy) < 3 * ratio) continue;
+      context.moveTo(x, y);
+      context.lineTo(x + dx, y + dy);
+    }
+    context.stroke();
+  }
+
+  /** Where each array hears the selected UE from; fainter where that explains little of what it hears. */
+  #bearings(context, pane, ratio) {
+    context.lineWidth = 1.5 * ratio;
+    context.strokeStyle = this.colours.accent;
+    for (const { at, angle, share } of this.bearings ?? []) {
+      const [x, y] = [pane.x0 + at[0] * pane.scale, pane.y0 - at[1] * pane.scale];
+      context.globalAlpha = 0.25 + 0.6 * Math.min(Math.max(share, 0), 1);
+      context.beginPath();
+      context.moveTo(x, y);
+      context.lineTo(x + Math.cos(angle) * 4000 * ratio, y - Math.sin(angle) * 4000 * ratio);
+      context.stroke();
+    }
+    context.globalAlpha = 1;
+  }
+
   /** Where the selected UE has been. */
   #past(context, pane, row) {
     const past = this.world.historyOf(row);
@@ -276,7 +318,7 @@ export class Picture {
     let along = 2 * world.rho_std[row] * pane.scale;
     let across = 2 * world.theta_std[row] * world.rho[row] * pane.scale;
     let turn = Math.atan2(y - pane.y0, x - pane.x0);
-    const [xx, xy, yy] = ['cov_xx', 'cov_xy', 'cov_yy'].map((name) => world[name]?.[row] ?? NaN);
+    const [xx, xy, yy] = ['x_var', 'xy_cov', 'y_var'].map((name) => world[name]?.[row] ?? NaN);
     if (Number.isFinite(xx + xy + yy)) {
       const middle = (xx + yy) / 2;
       const off = Math.hypot((xx - yy) / 2, xy);

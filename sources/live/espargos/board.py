@@ -22,7 +22,7 @@ from chachart.sources.live.espargos.control import Channel
 from chachart.sources.live.espargos.message import SUBCARRIER_SPACING_HZ, UNIT_NS, SensorCsi
 from chachart.sources.live.simulated import SimulatedDevice
 
-REFERENCE_HZ = 200.0
+REFERENCE_HZ = 100.0
 """Reference packets a second while the switch is at the reference."""
 BOARD_ADDRESS = 0x020000000001
 LATE_PACKETS = 4

@@ -6,30 +6,27 @@ import logging
 import select
 import time
 from dataclasses import replace
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from chachart.node.data.counters import Counters
 from chachart.node.data.errors import SetupError
 from chachart.node.data.facts import CaptureFacts
-from chachart.node.data.geometry import SPEED_OF_LIGHT, ArrayGeometry
-from chachart.node.data.settings import Settings
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import SourceSettings
 from chachart.sources.frontend.clock import DeviceClock
 from chachart.sources.live.device import (
     CodecError,
     Connection,
     DeviceGone,
-    DeviceSettings,
     DeviceSource,
     Frame,
     count,
 )
 from chachart.sources.live.espargos import calibration, control, stream
-from chachart.sources.live.espargos.board import BoardFaults, Wiring
+from chachart.sources.live.espargos.board import Wiring
 from chachart.sources.live.espargos.calibration import Correction, trace_delay_s
 from chachart.sources.live.espargos.cluster import ANTENNAS, Cluster, Grouping
 from chachart.sources.live.espargos.control import Channel
@@ -37,55 +34,16 @@ from chachart.sources.live.espargos.far_end import NetworkBoard, WiredBoards
 from chachart.sources.live.espargos.link import Link, NetworkLink
 from chachart.sources.live.espargos.message import TONES, decode_message
 from chachart.sources.live.espargos.serial_link import SerialLink
+from chachart.sources.live.espargos.settings import Board, EspargosLoopback, EspargosSettings
 from chachart.sources.live.simulated import ANY_PORT, Address, SimulatedDevice
-from chachart.sources.simulator import Simulator, SimulatorSettings
+from chachart.sources.simulator import Simulator
 
 log = logging.getLogger(__name__)
 
-UDP_PORT = 53330
 KEEP_ALIVE_S = 1.0
 SILENCE_S = 5.0
-
-
-class EspargosLoopback(BoardFaults):
-    """A simulated board in this process: nothing needs to be plugged in."""
-
-    channel_primary: int = Field(13, ge=1, le=14)
-    """The Wi-Fi channel that it listens on."""
-    scenario: SimulatorSettings = SimulatorSettings(ues=32, frame_rate_hz=200.0, snr_db=20.0)
-    """What it hears."""
-
-
-class Board(Settings):
-    """One board of several that are wired to one clock."""
-
-    host: str = Field("192.168.1.2", min_length=1, max_length=253)
-    """Its controller's address, with `:port` where that is not 80."""
-    serial_port: str | None = Field(None, min_length=1)
-    """The serial port that its controller is connected to, instead of a network."""
-    baudrate: int = Field(3_000_000, ge=1)
-    """Of the serial port: 2000000 behind an FT231X."""
-    cable_m: float = Field(0.0, ge=0)
-    """Length of the cable that brings it the common reference."""
-    velocity_factor: float = Field(0.69, gt=0, le=1)
-    """Speed in that cable over that of light."""
-
-
-class EspargosSettings(DeviceSettings):
-    """ESPARGOS boards over UDP. Phase is random and delay relative: a packet says where, not how far."""
-
-    type: Literal["espargos"] = "espargos"
-    """Which source."""
-    boards: tuple[Board, ...] = Field((Board(),), min_length=1, max_length=16)
-    """One board, or several wired to one clock: their antennas, one board after the other, are one array, or
-    those that `array` names."""
-    calibrate_s: float = Field(2.0, ge=0, le=60)
-    """How long the reference is listened to at the start and after the channel has changed; 0: not at all."""
-    udp_port: int = Field(UDP_PORT, ge=1, le=65535)
-    """Where the controllers want signs of life."""
-    loopback: EspargosLoopback | bool = False
-    """true, or a table: simulate the boards in this process. Its keys: `corrupt`, `drop`, `reorder` (parts of
-    the packets), `clock_ns`, `fault_seed`, `channel_primary`, and `scenario`, a simulator's settings."""
+PATIENCE = 4.0
+"""Where too few reference packets have come, they are waited for so many times as long again."""
 
 
 class EspargosSource(DeviceSource):
@@ -121,7 +79,7 @@ class EspargosSource(DeviceSource):
         self._check_array(len(wired))
         boards = []
         for number, (board, array) in enumerate(zip(wired, self._board_arrays(), strict=True)):
-            wiring = replace(first, number=number, cable_s=_cable_s(board))
+            wiring = replace(first, number=number, cable_s=board.cable_s)
             at = (address[0], address[1] + number if address[1] else 0)
             hears = Simulator(loopback.scenario, array)
             boards.append(NetworkBoard(hears, channel, loopback, at, wiring))
@@ -151,7 +109,7 @@ class EspargosSource(DeviceSource):
             boards = tuple(b.model_copy(update={"host": h}) for b, h in zip(boards, hosts, strict=True))
         self._check_array(len(boards))
         links = [self._link(board, port) for board in boards]
-        cables = np.array([_cable_s(board) for board in boards])
+        cables = np.array([board.cable_s for board in boards])
         return Stream(links, cables, self.settings.calibrate_s, self.rejected)
 
     def _link(self, board: Board, udp_port: int) -> Link:
@@ -168,11 +126,6 @@ class EspargosSource(DeviceSource):
                 f"[array] {boards} ESPARGOS boards measure {wanted[0]} antennas x {wanted[1]} subcarriers, "
                 f"not {there[0]} x {there[1]}"
             )
-
-
-def _cable_s(board: Board) -> float:
-    """Delay of the cable that brings a board the common reference."""
-    return board.cable_m / (board.velocity_factor * SPEED_OF_LIGHT)
 
 
 class Stream(Connection):
@@ -289,7 +242,9 @@ class Stream(Connection):
             return
         if self._calibrated_at is None:  # from when somebody reads, which may be long after the connection
             self._calibrated_at = now + self._calibrate_s
-        if now < self._calibrated_at:
+        late = now - self._calibrated_at
+        few = len(self._references) < calibration.FEWEST
+        if late < 0 or (few and late < PATIENCE * self._calibrate_s):
             return
         self._calibrating = False
         try:
@@ -297,7 +252,7 @@ class Stream(Connection):
                 link.switch(control.ANTENNAS)
         except SetupError as error:
             raise DeviceGone(str(error)) from None
-        if len(self._references) < calibration.FEWEST:
+        if few:
             log.warning(
                 "%s: only %d reference packets came: frames are not calibrated (is the phase reference "
                 "generated during calibration? see the controller's web page)",

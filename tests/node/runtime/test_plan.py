@@ -33,7 +33,7 @@ def test_shipped_configurations_make_a_plan(path: Path, capture: Path) -> None:
     replays = load(path).source.type == "recording"
     settings = load(path, [f"source.path={capture}"] if replays else [])
     plan = Plan.of(settings)
-    assert estimator_problems(plan.array, plan.estimator) == []
+    assert plan.misfits() == []
 
 
 def test_the_source_may_carry_the_array(capture: Path) -> None:

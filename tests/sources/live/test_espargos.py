@@ -17,7 +17,8 @@ from chachart.sources.live.espargos.board import BoardFaults
 from chachart.sources.live.espargos.control import Channel
 from chachart.sources.live.espargos.far_end import NetworkBoard, SerialBoard
 from chachart.sources.live.espargos.message import TONES
-from chachart.sources.live.espargos.source import Board, EspargosLoopback, EspargosSettings, EspargosSource
+from chachart.sources.live.espargos.settings import Board, EspargosLoopback, EspargosSettings
+from chachart.sources.live.espargos.source import EspargosSource
 from chachart.sources.simulator import Simulator, SimulatorSettings
 
 ARRAY = ArrayGeometry("board", 8, 25, 2.472e9, 625_000.0, 0.06)
