@@ -15,6 +15,8 @@ from chachart.node.estimation.state import ROWS, Snapshot
 
 UE = "table.ue" + ROWS
 SEEN = "table.last_seen" + ROWS
+WAITING = "waiting."
+"""What frames that wait for others begin with: `waiting.<array>.<field>`, a row a frame."""
 
 
 def joined(snapshots: Sequence[Snapshot]) -> Snapshot:
@@ -77,9 +79,27 @@ def merged(
         **{name: values[chosen] for name, values in rows.items()},
         **{name: np.asarray(sum(s[name] for s in snapshots)) for name in shared},
         **counted(counts),
+        **_waiting(snapshots, keep),
         "method": snapshots[0]["method"],
         "known": known,
     }
+
+
+def _waiting(
+    snapshots: Sequence[Snapshot], keep: Callable[[NDArray[np.uint64]], NDArray[np.bool_]] | None
+) -> Snapshot:
+    """The frames that waited, of the UEs that `keep` says, and when arrays were heard last."""
+    found: Snapshot = {}
+    for name in (name for name in snapshots[0] if name.startswith(WAITING)):
+        array, dot, _ = name.removeprefix(WAITING).partition(".")
+        parts = [s[name] for s in snapshots if name in s]
+        if not dot:
+            found[name] = np.max([part for part in parts if len(part)] or [np.zeros(0, np.int64)], axis=0)
+            continue
+        ues = [s[f"{WAITING}{array}.ue"] for s in snapshots if name in s]
+        which = [np.ones(len(ue), np.bool_) if keep is None else keep(ue) for ue in ues]
+        found[name] = np.concatenate([part[mine] for part, mine in zip(parts, which, strict=True)])
+    return found
 
 
 def counted(counts: dict[str, int]) -> Snapshot:

@@ -166,12 +166,14 @@ class FusedEstimator:
         return self._watch.report()
 
     def copy(self) -> Copy:
-        """As `ChartEstimator.copy`: of all tracks. Frames that wait for other arrays are not in it."""
+        """As `ChartEstimator.copy`: of all tracks, and the frames that wait for other arrays."""
         beside = {
             "method": np.array([METHOD.theta, METHOD.rho]),
             "known": self._memory.table.ues(self._memory.table.slots),
         }
-        return self._memory.copy(touched=False, beside=beside | counted(self.rejected.as_dict()))
+        return self._memory.copy(
+            touched=False, beside=beside | self._gathering.waiting() | counted(self.rejected.as_dict())
+        )
 
     def restore(self, snapshot: Snapshot) -> None:
         """As `ChartEstimator.restore`.
@@ -190,6 +192,7 @@ class FusedEstimator:
         memory.restore(snapshot | {name: values[newest] for name, values in rows.items()})
         self._memory.give_up_copy()
         self._memory, self._tracker = memory, tracker
+        self._gathering.restore(snapshot)
         self.rejected = Counters()
         reasons, counts = snapshot["rejected.reasons"], snapshot["rejected.counts"]
         self.rejected.merge({str(r): int(n) for r, n in zip(reasons, counts, strict=True)})

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.data.csi import CsiBlock
+from chachart.node.estimation.snapshots import WAITING
+from chachart.node.estimation.state import Snapshot
 
 Complex = NDArray[np.complex64]
 
@@ -18,6 +21,9 @@ LATE_MS = 100.0
 """An array that has gone on by so much has not received what is missing of it."""
 SILENT_MS = 2000.0
 """An array that nobody has heard of for so long is not waited for."""
+
+
+FIELDS = ("ue", "time_ns", "csi", "position", "packet")
 
 
 @dataclass(frozen=True)
@@ -86,6 +92,37 @@ class Gathering:
             self._heard_ns = np.full(len(self._shapes), int(block.time_ns.min()))
         self._heard_ns[array] = max(self._heard_ns[array], newest)
 
+    def waiting(self) -> Snapshot:
+        """The frames that wait, and until when each array has been heard: `restore` takes them up again.
+
+        Arrays `waiting.<number>.<field>`, of no frame where none waits.
+        """
+        found: Snapshot = {}
+        for number, (antennas, tones) in enumerate(self._shapes):
+            held = [block for array, block in self._held if array == number]
+            found |= {
+                f"{WAITING}{number}.ue": _stacked([b.ue for b in held], (0,), np.uint64),
+                f"{WAITING}{number}.time_ns": _stacked([b.time_ns for b in held], (0,), np.int64),
+                f"{WAITING}{number}.csi": _stacked([b.csi for b in held], (0, antennas, tones), np.complex64),
+                f"{WAITING}{number}.position": _stacked([_positions(b) for b in held], (0, 3), np.float32),
+                f"{WAITING}{number}.packet": _stacked([_packets(b) for b in held], (0,), np.uint64),
+            }
+        heard = np.zeros(0, np.int64) if self._heard_ns is None else self._heard_ns
+        return found | {f"{WAITING}heard_ns": heard}
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go on with what `waiting` gave; with nothing where a snapshot has none."""
+        self._held, self._heard_ns, self._newest_ns = [], None, np.iinfo(np.int64).min
+        knows = f"{WAITING}0.ue" in snapshot  # older ones have none
+        for number in range(len(self._shapes)):
+            found: dict[str, Any] = {n: snapshot[f"{WAITING}{number}.{n}"] for n in FIELDS if knows}
+            if len(found.get("ue", ())):
+                self.add(number, CsiBlock("", 0, **found))
+        heard = snapshot[f"{WAITING}heard_ns"] if knows else np.zeros(0, np.int64)
+        if len(heard) == len(self._shapes):
+            self._heard_ns = heard.copy()
+            self._newest_ns = int(heard.max())
+
     def ready(self, everything: bool = False) -> Events | None:
         """Transmissions that are complete or overdue, or all there are; None if there is none."""
         if not self._held or self._heard_ns is None:
@@ -93,9 +130,7 @@ class Gathering:
         ue = np.concatenate([block.ue for _, block in self._held])
         time_ns = np.concatenate([block.time_ns for _, block in self._held])
         array = np.repeat([a for a, _ in self._held], [len(block) for _, block in self._held])
-        packet = np.concatenate(
-            [np.zeros(len(b), np.uint64) if b.packet is None else b.packet for _, b in self._held]
-        )
+        packet = np.concatenate([_packets(block) for _, block in self._held])
         event, last = self._events(ue, packet, time_ns)
         heard = np.zeros((len(last), len(self._shapes)), np.bool_)
         heard[event, array] = True
@@ -160,6 +195,18 @@ class Gathering:
             if mine.any():
                 kept.append((array, block if mine.all() else block.take(mine)))
         self._held = kept
+
+
+def _packets(block: CsiBlock) -> NDArray[np.uint64]:
+    return np.zeros(len(block), np.uint64) if block.packet is None else block.packet
+
+
+def _positions(block: CsiBlock) -> NDArray[np.float32]:
+    return np.full((len(block), 3), np.nan, np.float32) if block.position is None else block.position
+
+
+def _stacked(parts: list[NDArray[Any]], empty: tuple[int, ...], dtype: type) -> NDArray[Any]:
+    return np.concatenate([np.zeros(empty, dtype), *parts])
 
 
 def add_in_phase(total: Complex, into: NDArray[np.intp], csi: Complex) -> None:

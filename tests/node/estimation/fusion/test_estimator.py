@@ -16,6 +16,7 @@ from chachart.node.estimation.fusion.estimator import FusedEstimator, clock_of
 from chachart.node.estimation.fusion.events import Gathering, add_in_phase
 from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
 from chachart.node.estimation.fusion.receiver import Receiver
+from chachart.node.estimation.snapshots import joined, merged
 
 from .conftest import LIGHT, received
 
@@ -211,6 +212,26 @@ def test_an_array_that_is_silent_or_has_gone_on_is_not_waited_for() -> None:
     found = [add(0, 1, ms) for ms in range(250, 4000, 100)]
     assert found[-1] == 1
     assert gathering.held == 0  # nobody waits for array 1 any more
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_frames_that_wait_go_with_a_snapshot(arrays: list[ArrayGeometry], workers: int) -> None:
+    first, second = (FusedEstimator(arrays, AREA, TrackingOptions(motion="walk")) for _ in range(2))
+    for array in arrays:
+        first.update(_block(array, PLACES, 0))
+    first.update(_block(arrays[0], PLACES, STEP_NS))
+    first.update(_block(arrays[1], PLACES, STEP_NS))
+    copy = first.copy()
+    pieces = []
+    while (piece := copy.piece(2)) is not None:
+        pieces.append(piece)
+    whole = joined(pieces)
+    second.restore(whole if workers == 1 else merged([whole], lambda ue: ue < 2))
+    last = _block(arrays[2], PLACES, STEP_NS)
+    expected, found = first.update(last), second.update(last)
+    assert found["arrays"].tolist() == ([3, 3, 3] if workers == 1 else [3, 3])
+    np.testing.assert_allclose(found.x, expected.x[: len(found)], atol=1e-6)
+    np.testing.assert_allclose(found["vx"], expected["vx"][: len(found)], atol=1e-6)
 
 
 def test_arrays_need_names_of_their_own(arrays: list[ArrayGeometry]) -> None:
