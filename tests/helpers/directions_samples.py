@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
+from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.elements import circle, grid
 from chachart.node.data.geometry import SPEED_OF_LIGHT, ArrayGeometry
@@ -27,6 +29,7 @@ SHAPES = {
     "uca16": circle(16, WAVE_M),
     "space": np.random.default_rng(7).uniform(-WAVE_M, WAVE_M, (9, 3)),
 }
+BLOCK_SAMPLES = 1 << 20
 METHODS = {
     "bartlett": lambda r, ends: np.linalg.cholesky(r),
     "mvdr": lambda r, ends: spectra.mvdr(r, 0.05),
@@ -55,8 +58,18 @@ def some_frames(
     steering = np.exp(2j * np.pi * array.middle_hz / array.light_speed_m_s * d @ array.own_elements.T)
     delay = np.exp(1j * array.rho_phase * rho[:, None] * array.tone_numbers)
     h = steering[:, :, None] * delay[:, None] * np.exp(2j * np.pi * rng.random((len(d), 1, 1)))
-    noise = rng.standard_normal((*h.shape, 2)).view(np.complex128)[..., 0]
-    return (h + noise * 10 ** (-snr_db / 20) / np.sqrt(2)).astype(np.complex64)
+    noise = rng.standard_normal((*h.shape, 2), np.float32).view(np.complex64)[..., 0]
+    return h.astype(np.complex64) + noise * np.float32(10 ** (-snr_db / 20) / np.sqrt(2))
+
+
+def heard(
+    array: ArrayGeometry, d: np.ndarray, rho: np.ndarray, snr_db: float, frames: int, rng: np.random.Generator
+) -> Iterator[CsiBlock]:
+    """All frames of so many UEs at a time, so that every UE is estimated once, from all of them."""
+    at_once = max(1, BLOCK_SAMPLES // (array.antennas * array.subcarriers * frames))
+    for start in range(0, len(d), at_once):
+        ue = np.repeat(np.arange(start, min(start + at_once, len(d))), frames)
+        yield CsiBlock.of(some_frames(array, d[ue], rho[ue], snr_db, rng), ue, np.arange(len(ue)))
 
 
 def located(
@@ -67,11 +80,9 @@ def located(
     azimuth, elevation = somewhere(shape, ues, rng)
     d, rho = unit(azimuth, elevation), rng.uniform(20, 300, ues)
     estimator = ChartEstimator(array, averaging="mean", **options)
-    for t in range(frames):
-        csi = some_frames(array, d, rho, snr_db, rng)
-        chart = estimator.update(CsiBlock("a", t, np.arange(ues, dtype=np.uint64), np.full(ues, t), csi))
+    chart = ChartUpdate.concatenate([estimator.update(b) for b in heard(array, d, rho, snr_db, frames, rng)])
     manifold = manifold_of(array)
-    scale = information_scale(manifold.size, frames * array.subcarriers, 10 ** (snr_db / 10))
+    scale = information(array, options["theta"], snr_db, frames)
     across, _, upwards = inverse(scale * manifold.information(d, np.stack(compass(d))))
     off = np.angle(np.exp(1j * (chart["azimuth"] - azimuth))), chart["elevation"] - elevation
     bound = np.sqrt(across) / np.cos(elevation), np.sqrt(upwards)
@@ -81,3 +92,11 @@ def located(
         float(np.sqrt(np.mean((e / b) ** 2))) for e, b in zip((*off, *off), (*bound, *stated), strict=True)
     ]
     return (*rms, float(np.sqrt(np.mean(theta_off**2))), chart)
+
+
+def information(array: ArrayGeometry, method: str, snr_db: float, frames: int) -> Any:
+    """Scale of the Fisher information; a joint method sees one snapshot a frame, of all tones together."""
+    snr, tones = 10 ** (snr_db / 10), array.subcarriers
+    if method == "joint":
+        return information_scale(array.antennas, frames, snr * tones)
+    return information_scale(array.antennas, frames * tones, snr)

@@ -40,7 +40,7 @@ SHAPES: dict[str, tuple[Floats, int]] = {
 """Elements, and tones."""
 SNRS_DB = (-10.0, 0.0, 10.0, 20.0)
 METHODS: tuple[ThetaMethod, ...] = (*SPECTRAL, JOINT)
-BLOCK = 256
+BLOCK, ERROR_BLOCK = 256, 32
 STREET_SNR_DB = 10.0
 
 
@@ -52,13 +52,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--runs", type=int, default=7, help="timed runs (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of directions and noise (default: %(default)s)")
+    parser.add_argument(
+        "--only", choices=("speed", "errors", "streets"), help="one of the three tables (default: all)"
+    )
     parser.add_argument("--raytraced", type=Path, metavar="FILE.npz", help="ray-traced channels of a mast")
 
 
 def run(arguments: argparse.Namespace) -> list[Table]:
     """Time every array and method, then their errors."""
-    tables = [_speed(arguments), _errors(arguments)]
-    if arguments.raytraced is not None:
+    if arguments.only == "streets" and arguments.raytraced is None:
+        raise SetupError("--only streets needs --raytraced FILE.npz")
+    only, tables = arguments.only, []
+    if only in (None, "speed"):
+        tables.append(_speed(arguments))
+    if only in (None, "errors"):
+        tables.append(_errors(arguments))
+    if only in (None, "streets") and arguments.raytraced is not None:
         tables.append(_streets(arguments.raytraced, arguments.seed))
     return tables
 
@@ -139,28 +148,32 @@ def _errors(arguments: argparse.Namespace) -> Table:
                     name, f"{snr_db:g}", *(f"{azimuth:.3f} / {elevation:.3f}" for azimuth, elevation in cells)
                 )
                 advance(1)
+    table.notes = [f"each known to {1 / np.sqrt(2 * arguments.ues):.1%}"]
     return table
 
 
 def _over_bound(
     name: str, method: ThetaMethod, snr_db: float, arguments: argparse.Namespace
 ) -> tuple[float, float]:
-    array, ues = an_array(name, 32), arguments.ues
+    """Of the bound for what the method sees: snapshots of the elements, or, joint, of elements and tones."""
+    array, ues, frames = an_array(name, 32), arguments.ues, arguments.frames
     rng = np.random.default_rng([arguments.seed, round(snr_db) + 100])
     azimuth, elevation = somewhere(name, ues, rng)
     d = unit(azimuth, elevation)
     clean = plane_waves(array, d, rng.uniform(20, 300, ues))
     estimator = ChartEstimator(array, theta=method, rho=_rho(method), averaging="mean")
-    for _ in range(arguments.frames):
-        chart = estimator.update(noisy(clean, snr_db, rng), ue=np.arange(ues))
+    found = []
+    for start in range(0, ues, ERROR_BLOCK):
+        ue = np.repeat(np.arange(start, min(start + ERROR_BLOCK, ues)), frames)
+        chart = estimator.update(noisy(clean[ue], snr_db, rng), ue=ue)
+        found.append(np.stack([chart["azimuth"], chart["elevation"]]))
     manifold = manifold_of(array)
-    scale = information_scale(manifold.size, arguments.frames * array.subcarriers, 10 ** (snr_db / 10))
+    snr, together = 10 ** (snr_db / 10), array.subcarriers if method == JOINT else 1
+    scale = information_scale(manifold.size, frames * array.subcarriers / together, snr * together)
     across, _, upwards = inverse(scale * manifold.information(d, np.stack(compass(d))))
-    off = np.angle(np.exp(1j * (chart["azimuth"] - azimuth))) * np.cos(elevation)
-    return (
-        float(np.sqrt(np.mean(off**2 / across))),
-        float(np.sqrt(np.mean((chart["elevation"] - elevation) ** 2 / upwards))),
-    )
+    off = np.concatenate(found, axis=1) - np.stack([azimuth, elevation])
+    turned = np.angle(np.exp(1j * off[0])) * np.cos(elevation)
+    return float(np.sqrt(np.mean(turned**2 / across))), float(np.sqrt(np.mean(off[1] ** 2 / upwards)))
 
 
 def _streets(path: Path, seed: int) -> Table:

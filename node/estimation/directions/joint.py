@@ -91,19 +91,35 @@ class DirectionLocator(Locator):
         return found | self.direct_path.apart(*self.frames(slots))
 
     def _turned(self, group: Grouping, csi: Csi) -> Csi:
-        """The frames, each at the phase of the sum of its UE's earlier ones, or of its first one here."""
-        ue = np.empty(len(csi), np.intp)
-        ue[group.order] = np.repeat(np.arange(len(group)), group.counts)
-        sums = self._bank.rows[group.slots]
-        fresh = self._weights.of(group.slots)[0] == 0
+        """The frames, each at the phase of the sum of all earlier ones of its UE; the first as it is."""
+        fresh = self._weights.of(group.slots)[0][group.busiest] == 0
         if group.single and fresh.all():
             return csi
-        sums[fresh] = csi[group.order[group.starts[fresh]]]
-        one, other = sums[ue].reshape(len(csi), -1), csi.reshape(len(csi), -1)
-        z = inner(one, other) + 1j * inner(one * np.complex64(1j), other)
-        turn = np.where(np.abs(z) > 0, z.conj() / np.maximum(np.abs(z), 1e-30), 1)
-        turned: Csi = csi * turn.astype(np.complex64)[:, None, None]
+        sums = self._bank.rows[group.slots[group.busiest]]
+        turned = csi.copy()
+        frames, counts = group.rounds
+        ends = np.cumsum(counts)
+        for number, end in enumerate(ends):
+            which = frames[end - counts[number] : end]
+            now = slice(0, counts[number])
+            if number or not fresh.any():
+                turned[which] = alike(sums[now], csi[which])
+            elif not fresh.all():
+                known = which[~fresh]
+                turned[known] = alike(sums[~fresh], csi[known])
+            if end < len(csi):
+                sums[now] *= np.float32(self._decay)
+                sums[now] += turned[which]
         return turned
+
+
+def alike(wanted: Csi, frames: Csi) -> Csi:
+    """Frames (K, N_R, N_S), each turned to the phase of the one that is wanted."""
+    one, other = wanted.reshape(len(frames), -1), frames.reshape(len(frames), -1)
+    z = inner(one, other) + 1j * inner(one * np.complex64(1j), other)
+    turn = np.where(np.abs(z) > 0, z.conj() / np.maximum(np.abs(z), 1e-30), 1)
+    turned: Csi = frames * turn.astype(np.complex64)[:, None, None]
+    return turned
 
 
 def inner(a: Csi, b: Csi) -> NDArray[np.float32]:
