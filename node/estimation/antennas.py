@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
 
-FRAMES_A_LOOK = 16
-"""Frames of a block that are looked into."""
 MEMORY_FRAMES = 256.0
 FEWEST_FRAMES = 48
 """With fewer, fading passes for a fault."""
@@ -40,16 +38,17 @@ class AntennaWatch:
         self._full = np.zeros(array.antennas)
         self._tones = np.zeros(array.subcarriers)
 
-    def look(self, block: CsiBlock) -> None:
-        """Take in a few frames of the block."""
-        pick = np.unique(np.linspace(0, len(block) - 1, FRAMES_A_LOOK).round().astype(np.intp))
+    def look(self, block: CsiBlock, frames: int = 16) -> None:
+        """Take in at most so many frames of the block."""
+        pick = np.unique(np.linspace(0, len(block) - 1, frames).round().astype(np.intp))
         csi = block.csi[pick]
         power = np.abs(csi) ** 2
         level = power.mean(axis=(1, 2))
         usable = np.isfinite(level) & (level > 0)
         if not usable.any():
             return
-        csi, power = csi[usable], power[usable] / level[usable, None, None]
+        level = level[usable, None, None]
+        csi, power = csi[usable] / np.sqrt(level), power[usable] / level
         if len(self._ues) < FEWEST_UES:
             self._ues.update(block.ue[pick].tolist())
         keep = max(1 - len(csi) / MEMORY_FRAMES, 0.0)
@@ -110,9 +109,9 @@ def response(csi: NDArray[np.complex64]) -> dict[str, Any]:
 
 
 def _coherent(csi: NDArray[np.complex64]) -> NDArray[np.float64]:
-    """|u|^2 of the dominant left singular vector u of each frame (K, antennas)."""
-    left, _, _ = np.linalg.svd(csi, full_matrices=False)
-    power: NDArray[np.float64] = np.abs(left[:, :, 0]).astype(np.float64) ** 2
+    """|u|^2 of the dominant left singular vector u of each frame H, by that of H H^H (K, antennas)."""
+    _, left = np.linalg.eigh(csi @ csi.conj().swapaxes(1, 2))
+    power: NDArray[np.float64] = np.abs(left[:, :, -1]).astype(np.float64) ** 2
     return power
 
 

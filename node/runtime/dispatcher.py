@@ -16,7 +16,7 @@ from typing import Any
 import zmq
 
 from chachart.node.runtime import messages
-from chachart.node.runtime.child import load_class
+from chachart.node.runtime.child import leave_alone_what_lives, load_class
 from chachart.node.runtime.csi_sinks import CsiSinks
 from chachart.node.runtime.feeder_requests import FeederRequests, Terms
 from chachart.node.runtime.hung_workers import HungWorkers
@@ -264,6 +264,7 @@ class Dispatcher:
         if self._go and not self._started and all(peer is not None for peer in self._links.peers):
             self._go_on()
             self._started = True
+            leave_alone_what_lives()
             self._reader.start()
             self._tell(messages.STARTED, {})
 

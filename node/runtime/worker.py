@@ -23,7 +23,7 @@ from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.fusion.estimator import FusedEstimator
 from chachart.node.net.wire import decode_csi
 from chachart.node.runtime import messages
-from chachart.node.runtime.child import read_settings
+from chachart.node.runtime.child import leave_alone_what_lives, read_settings
 from chachart.node.runtime.processor import BlockProcessor, FrameClock, Outcome, estimator_of
 from chachart.node.runtime.progress import Mark
 from chachart.node.runtime.worker_state import WorkerState
@@ -66,6 +66,7 @@ class Worker:
     def run(self) -> None:
         """Serve until the feeder says that nothing more will come."""
         warm_up(self._array, self._estimator, self._several)
+        leave_alone_what_lives()
         self._hello()
         while (message := self._receive(self._patience_ms())) is None or message[0] != messages.END:
             if message is not None:

@@ -93,3 +93,15 @@ def test_the_response_of_a_frame_is_its_two_slopes() -> None:
     np.testing.assert_allclose(np.diff(np.unwrap(found["antenna_phase"])), 0.3, atol=1e-3)
     np.testing.assert_allclose(np.diff(np.unwrap(found["tone_phase"])), -0.2, atol=1e-3)
     np.testing.assert_allclose(found["antenna_db"], 0, atol=0.01)
+
+
+def test_a_frame_of_any_size_counts_alike() -> None:
+    gains = np.ones(ARRAY.antennas)
+    gains[3] = 0.0
+    watch = AntennaWatch(ARRAY)
+    for seed in range(12):
+        block = waves(32, snr_db=20.0, seed=seed, gains=gains)
+        watch.look(
+            CsiBlock("lab", 0, block.ue, block.time_ns, block.csi * np.float32(10.0 ** (seed * 3 - 18)))
+        )
+    assert watch.report()["faults"] == {"3": "dead"}
