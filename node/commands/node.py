@@ -29,6 +29,7 @@ from chachart.node.data.errors import EX_CONFIG, SetupError
 from chachart.node.data.version import build
 from chachart.node.files.recording import RecordingReader
 from chachart.node.runtime import logs
+from chachart.node.runtime.child import leave_alone_what_lives
 from chachart.node.runtime.descriptors import raise_limit
 from chachart.node.runtime.node import Node
 from chachart.node.runtime.panel import line, panel, summary_lines
@@ -174,6 +175,7 @@ def _run(plan: Plan, options: argparse.Namespace) -> int:
     signals = _Signals(node)
     log.info("chachart %s", build())
     node.start()
+    leave_alone_what_lives()
     for name, where in node.addresses():
         log.info("%s: %s", name, where)
     if live is None:

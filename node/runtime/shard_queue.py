@@ -17,6 +17,8 @@ from chachart.node.runtime.partition import ShardBlock
 
 MAX_DEATHS = 3
 """A block whose worker died so often while it was first in line is dropped, not sent again."""
+READ_AGAIN_BYTES = 16 * 1024 * 1024
+"""More CSI is not retained of what can be read again: it stays in the cache, and out of memory."""
 LEARN = 0.1
 """Weight of the newest block in the typical time that one takes."""
 
@@ -267,9 +269,10 @@ class ShardQueue:
     def _retain(self, entry: Entry) -> None:
         if not self._retain_bytes:
             return
+        limit = min(self._retain_bytes, READ_AGAIN_BYTES) if self.can_read_again else self._retain_bytes
         self._retained.append(entry)
         self.retained_bytes += entry.content.block.csi.nbytes
-        while self.retained_bytes > self._retain_bytes and not self._waits:
+        while self.retained_bytes > limit and not self._waits:
             oldest = self._retained.popleft()
             self.retained_bytes -= oldest.content.block.csi.nbytes
             self._unretained_seq = oldest.seq

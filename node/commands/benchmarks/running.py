@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -126,7 +127,12 @@ class RunningNode:
     def _look(self) -> None:
         while not self._done.wait(WATCH_EVERY_S):
             for pid in _family(self._process.pid):
-                self._peaks[pid] = max(self._peaks.get(pid, 0), peak_bytes(pid))
+                parent = _parent(pid)
+                if parent in (self._process.pid, os.getpid()):
+                    held = peak_bytes(pid)
+                else:  # a worker's writer of snapshots, one at a time: the rest is its worker's
+                    pid, held = -parent, private_bytes(pid)
+                self._peaks[pid] = max(self._peaks.get(pid, 0), held)
 
 
 def _children_cpu_s() -> float:
@@ -145,6 +151,14 @@ def _family(pid: int) -> list[int]:
     return [pid, *(member for child in found for member in _family(child))]
 
 
+def _parent(pid: int) -> int:
+    """Of a process; 0 if it is gone."""
+    try:
+        return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+    except OSError:
+        return 0
+
+
 def children(pid: int) -> dict[str, int]:
     """The node's child processes by what they do: `feeder`, `worker 0`, `worker 1`, ..., `quality`."""
     found: dict[str, int] = {}
@@ -152,10 +166,9 @@ def children(pid: int) -> dict[str, int]:
     for child in sorted(_family(pid)[1:]):
         try:
             command = Path(f"/proc/{child}/cmdline").read_bytes().decode().split("\0")
-            parent = int(Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[1])
         except OSError:
             continue
-        if parent != pid:  # a worker's writer of snapshots
+        if _parent(child) != pid:  # a worker's writer of snapshots
             continue
         module = next((part.rpartition(".")[2] for part in command if ".runtime." in part), "")
         if module == "worker":
@@ -171,14 +184,21 @@ def footprints(pid: int) -> dict[str, Footprint]:
     found = {}
     for name, process in {"main": pid, **children(pid)}.items():
         try:
-            rollup = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
-            private = sum(int(line.split()[1]) for line in rollup if line.startswith("Private_"))
             files = len(list(Path(f"/proc/{process}/fd").iterdir()))
             threads = len(list(Path(f"/proc/{process}/task").iterdir()))
         except OSError:
             continue
-        found[name] = Footprint(private * 1024, files, threads)
+        found[name] = Footprint(private_bytes(process), files, threads)
     return found
+
+
+def private_bytes(pid: int) -> int:
+    """Memory that no other process shares, 0 if it is gone."""
+    try:
+        rollup = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    except OSError:
+        return 0
+    return 1024 * sum(int(line.split()[1]) for line in rollup if line.startswith("Private_"))
 
 
 def peak_bytes(pid: int) -> int:

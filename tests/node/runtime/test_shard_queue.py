@@ -11,7 +11,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.runtime.partition import ShardBlock
-from chachart.node.runtime.shard_queue import MAX_DEATHS, Entry, ShardQueue
+from chachart.node.runtime.shard_queue import MAX_DEATHS, READ_AGAIN_BYTES, Entry, ShardQueue
 
 METHOD = ("bartlett", "bartlett")
 
@@ -139,6 +139,16 @@ def test_nothing_waits_for_a_snapshot_where_the_source_can_be_read_again() -> No
         assert not queue.full
         assert not queue.half_retained
     assert queue.worker_up(-1, 0, {}, ues=1).lost == 4
+
+
+def test_little_is_retained_of_what_can_be_read_again() -> None:
+    ue, csi = np.zeros(8, np.uint64), np.zeros((8, 64, 1024), np.complex64)
+    queue = ShardQueue(capacity=99, credit=99, lossless=True, retain_bytes=100 * csi.nbytes)
+    queue.can_read_again = True
+    for n in range(8):
+        queue.put(ShardBlock(0, CsiBlock("lab", n, ue, np.zeros(8, np.int64), csi), (), n, n + 1))
+        estimate(queue, take_all(queue))
+    assert 0 < queue.retained_bytes <= READ_AGAIN_BYTES < 8 * csi.nbytes
 
 
 def test_a_new_queue_goes_on_counting_where_the_worker_is() -> None:
