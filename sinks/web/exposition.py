@@ -31,6 +31,10 @@ _COUNTS = {
     "out_of_order": "Frames late by the source's own numbering.",
     "ues_evicted": "UEs that made room for others.",
     "ues_forgotten": "UEs unseen for too long.",
+    "restamped": "Live frames whose time was too far from this host's.",
+    "state_lost": "Frames that are in their UEs' estimates no more.",
+    "ues_reset": "UEs that started afresh because their state was lost.",
+    "feeder_restarts": "Times the feeder process had to be started again.",
 }
 _PER_WORKER = {
     "backlog_frames": "Frames waiting for a worker or unacknowledged by it.",

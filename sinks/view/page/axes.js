@@ -29,8 +29,14 @@ export function themeColours() {
 
 export const font = (ratio, size = 11) => `${size * ratio}px system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", "DejaVu Sans", sans-serif`;
 
-/** One pane of the chart: grid, ticks in metres, the array with where it looks, a scale bar, a title. */
-export function drawPane(context, pane, colours, ratio, pose) {
+/** What the axes are called: metres only where the chart has a scale. */
+export function axisNames(pose, relative) {
+  const unit = relative ? 'no scale' : 'm';
+  return pose?.world ? [`x (${unit})`, `y (${unit})`] : [`x, along broadside (${unit})`, `y, along the array (${unit})`];
+}
+
+/** One pane of the chart: grid, ticks, the array with where it looks, a scale bar where there is a scale, a title. */
+export function drawPane(context, pane, colours, ratio, pose, axes, scaled) {
   const { left, top, right, bottom, scale, x0, y0 } = pane;
   const xs = ticks((left - x0) / scale, (right - x0) / scale, (right - left) / (90 * ratio));
   const ys = ticks((y0 - bottom) / scale, (y0 - top) / scale, (bottom - top) / (70 * ratio));
@@ -63,10 +69,10 @@ export function drawPane(context, pane, colours, ratio, pose) {
     const at = y0 - y * scale;
     if (at > top + 5 * ratio && at < bottom - 2 * ratio) context.fillText(tickText(y, ys), left - 6 * ratio, at);
   }
-  labels(context, pane, ratio, pose);
+  labels(context, pane, ratio, axes);
   const arrays = arraysOf(pose);
   for (const array of arrays) drawArray(context, pane, colours, ratio, array, arrays.length > 1);
-  scaleBar(context, pane, colours, ratio);
+  if (scaled) scaleBar(context, pane, colours, ratio);
   if (Number.isFinite(pose?.heading_deg)) compass(context, pane, colours, ratio, pose.heading_deg);
   if (pane.title) {
     context.font = `600 ${font(ratio, 12)}`;
@@ -78,16 +84,16 @@ export function drawPane(context, pane, colours, ratio, pose) {
   context.restore();
 }
 
-function labels(context, { left, top, right, bottom, labelled }, ratio, pose) {
+function labels(context, { left, top, right, bottom, labelled }, ratio, [x, y]) {
   context.textAlign = 'center';
   context.textBaseline = 'bottom';
-  context.fillText(pose?.world ? 'x (m)' : 'x, along broadside (m)', (left + right) / 2, bottom + 32 * ratio);
+  context.fillText(x, (left + right) / 2, bottom + 32 * ratio);
   if (!labelled) return;
   context.save();
   context.translate(left - 56 * ratio, (top + bottom) / 2);
   context.rotate(-Math.PI / 2);
   context.textBaseline = 'top';
-  context.fillText(pose?.world ? 'y (m)' : 'y, along the array (m)', 0, 0);
+  context.fillText(y, 0, 0);
   context.restore();
 }
 

@@ -85,7 +85,7 @@ export class Colouring {
       this.range = [0, Math.max(0.01, world.spread(errors, 0, 0.98)?.[1] ?? 1)];
       return { by, low: '0 m', high: `${this.range[1].toPrecision(2)} m off` };
     }
-    const [column, unit] = by === 'range' ? [world.rho, 'm'] : [world.snr, 'dB'];
+    const [column, unit] = by === 'range' ? [world.rho, world.isRelative() ? 'of an unknown scale,' : 'm'] : [world.snr, 'dB'];
     this.range = world.spread(column, 0.02, 0.98) ?? [0, 1];
     return { by, low: this.range[0].toFixed(0), high: `${this.range[1].toFixed(0)} ${unit} ${by === 'snr' ? 'SNR' : 'range'}` };
   }

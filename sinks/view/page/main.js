@@ -237,7 +237,7 @@ function select(ue) {
   refresh();
   const row = world.index.get(ue);
   say(row === undefined ? 'nothing selected'
-    : `UE ${names.of(ue)}, x ${number(world.x[row])} metres, y ${number(world.y[row])} metres, SNR ${number(world.snr[row])} decibel`);
+    : `UE ${names.of(ue)}, x ${number(world.x[row])}, y ${number(world.y[row])} ${world.relative?.[row] > 0 ? 'without scale' : 'metres'}, SNR ${number(world.snr[row])} decibel`);
 }
 
 /** The next UE by number, forwards or backwards. */

@@ -163,7 +163,7 @@ export function showSpectra(spectrum, truth) {
 export function showHistory(world, row, quantity) {
   const past = world.historyOf(row);
   const now = world.now();
-  const [scale, label] = { theta: [DEGREES, 'θ, °'], rho: [1, 'ρ, m'], snr: [1, 'SNR, dB'] }[quantity];
+  const [scale, label] = { theta: [DEGREES, 'θ, °'], rho: [1, world.relative?.[row] > 0 ? 'ρ, no scale' : 'ρ, m'], snr: [1, 'SNR, dB'] }[quantity];
   curve(element('historyplot'), {
     series: [{ x: [...past.time, world.time[row]].map((t) => (t - now) / 1000), y: [...past[quantity], world[quantity][row]].map((v) => v * scale), colour: 'a' }],
     x: { label: 's ago' }, y: { label },

@@ -1,6 +1,6 @@
 // The chart itself: when to draw, and in which order.
 
-import { arraysOf, drawPane, font, themeColours } from './axes.js';
+import { arraysOf, axisNames, drawPane, font, themeColours } from './axes.js';
 import { Colouring } from './colours.js';
 import { Scatter } from './scatter.js';
 import { View } from './view.js';
@@ -150,13 +150,16 @@ export class Picture {
       if (this.view.auto) this.fit();
     }
     this.#followUe();
+    const axes = axisNames(this.pose, this.world.isRelative());
+    this.stale ||= axes.join() !== this.axes?.join();
+    this.axes = axes;
     const panes = this.view.panes(ratio);
     if (this.stale) {
       this.context.fillStyle = this.colours.plot;
       this.context.fillRect(0, 0, this.canvas.width, this.canvas.height);
       for (const pane of panes) {
         this.plan?.draw(this.context, pane);
-        drawPane(this.context, { ...pane, title: titles.length > 1 ? pane.title : '' }, this.colours, ratio, this.pose);
+        drawPane(this.context, { ...pane, title: titles.length > 1 ? pane.title : '' }, this.colours, ratio, this.pose, axes, !this.world.isRelative());
       }
       this.scatter.begin();
     }

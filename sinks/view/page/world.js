@@ -151,6 +151,11 @@ export class World {
     return this.rows ? (known * step) / this.rows : 0;
   }
 
+  /** Whether the distances of some UEs have no scale. */
+  isRelative() {
+    return Boolean(this.relative?.subarray(0, this.rows).some((value) => value > 0));
+  }
+
   /** Distance between estimate and truth in metres; NaN where the truth is unknown. */
   error(row) {
     return Math.hypot(this.x[row] - this.true_x[row], this.y[row] - this.true_y[row]);

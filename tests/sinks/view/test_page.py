@@ -269,3 +269,20 @@ def test_why_nothing_comes_is_told_with_what_would_help(tmp_path: Path) -> None:
         assert "send known positions" in page.inner_text("#notice")
         assert "is not trained" in page.inner_text("#waiting")
         assert complaints == []
+
+
+def test_distances_without_a_scale_are_no_metres(tmp_path: Path) -> None:
+    port = free_port()
+    sinks = f'[[sinks]]\ntype = "view"\nport = {port}'
+    axes = "window.chachart?.picture.axes?.join()"
+    with (
+        LiveNode(tmp_path, sinks, source="known_ues = 0"),
+        browse(f"http://127.0.0.1:{port}/") as (page, complaints),
+    ):
+        all_there(page)
+        wait(page, f"{axes} === 'x, along broadside (m),y, along the array (m)'")
+        page.select_option("#rho", "isq")
+        wait(page, f"{axes} === 'x, along broadside (no scale),y, along the array (no scale)'")
+        page.select_option("#rho", "bartlett")
+        wait(page, f"{axes} === 'x, along broadside (m),y, along the array (m)'")
+        assert complaints == []
