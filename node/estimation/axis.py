@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from chachart.node.estimation import order, spectra
 from chachart.node.estimation.bounds import minnorm_excess, mvdr_excess, stochastic_std
-from chachart.node.estimation.covariance import Bank, Grouping, LagSums, forward_backward
+from chachart.node.estimation.covariance import Bank, Grouping, covariances, forward_backward
 from chachart.node.estimation.evidence import AxisEvidence
 from chachart.node.estimation.judge import inflated
+from chachart.node.estimation.lag_sums import LagSums
 from chachart.node.estimation.lattice import Lattice
 from chachart.node.estimation.locator import Columns
 from chachart.node.estimation.manifold import Search, UniformManifold, derivatives, phasors
@@ -67,15 +68,14 @@ class SpectralAxis(SlotState):
             self._tracker = SubspaceTracker(n, options.signal_order)
             self.children["tracker"] = self._tracker
 
-    def of_frames(self, x: Complex, conjugate: Complex) -> Complex:
-        """What is kept of each frame, from snapshot matrices x (K, N, M) and their conjugates.
+    def of_frames(self, x: Complex) -> Complex:
+        """What is kept of each frame, from snapshot matrices x (K, N, M).
 
         Lag polynomials (K, L) for Bartlett, covariances (K, N, N) for the others.
         """
         if self.method == "bartlett":
-            return self._lags.of_products(x, conjugate)
-        product: Complex = np.matmul(x, conjugate.swapaxes(1, 2))
-        return product
+            return self._lags.of_products(x)
+        return covariances(x)
 
     def energy(self, kept: Complex) -> NDArray[Any]:
         """Sum of |h|^2 of each frame (K,)."""
@@ -104,7 +104,7 @@ class SpectralAxis(SlotState):
             return self._judge(u, sums / scale[:, None], snapshots)
         r = self._prepared(sums)
         factor = self._factor(r, group.slots, snapshots)
-        c = self._lags.of_products(factor, factor.conj())
+        c = self._lags.of_products(factor)
         u, value = self.search.extremum(c, maximum=self.method in spectra.MAXIMUM)
         u[np.isnan(value)] = np.nan
         return self._judge(u, self._lags.of(r) / scale[:, None], snapshots)
@@ -128,7 +128,7 @@ class SpectralAxis(SlotState):
         if self.method != "bartlett":
             r = self._prepared(c)
             factor = self._factor(r, None, np.array([frames * self.snapshots]))
-            c = self._lags.of_products(factor, factor.conj())
+            c = self._lags.of_products(factor)
         grid = self.manifold.points(points)
         power = derivatives(np.repeat(c.T, points, axis=1), self.manifold.u(grid), self.manifold.lattice)[0]
         if self.method == "music":

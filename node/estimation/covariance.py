@@ -7,29 +7,22 @@ exact from the first frame on, below that.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
-from chachart.node.estimation.lattice import Lattice
 from chachart.node.estimation.state import Slots, SlotState
 
 Complex = NDArray[np.complexfloating[Any, Any]]
 Floats = NDArray[np.float64]
 
-MATMUL_LIMIT = 64
-"""Up to this size, lag sums come from the covariance itself; beyond, FFTs need fewer operations."""
-
 MOST_WEIGHT = 2.0**20
 """Frames that a plain mean weighs alike. Single precision would round away what comes after many more, so
 what was there is then halved, sum and weight: the mean stays, and new frames go on counting."""
 
-_SCRATCH_BYTES = 1 << 20
-_TRANSFORM_BYTES = 4 << 20
+_SCRATCH_BYTES = 1 << 18
 
 
 class Grouping:
@@ -221,80 +214,15 @@ class Weights(SlotState):
         return weight, np.divide(weight * weight, squares, out=np.zeros_like(weight), where=squares > 0)
 
 
-class LagSums:
-    """Sums of N x N Hermitian matrices over pairs of elements of equal lag: the polynomial of aᴴ(u) Q a(u).
-
-    With a_n(u) = exp(j p_n u), aᴴ Q a = Re sum_k c_k exp(j k u) where c_k sums Q's entries of p_m - p_n = k:
-    c_0 once, the rest twice. For an even row these are its diagonals: matrices are written into the left half
-    of zeros twice as wide; read with rows one element longer, their diagonals lie in columns. Gaps are filled
-    with zeros before. Entries of sparse lattices are picked in the order of their lags.
-    """
-
-    def __init__(self, lattice: Lattice) -> None:
-        self.lattice = lattice
-        self._scratch: dict[np.dtype[Any], tuple[Complex, NDArray[Any]]] = {}
-        if lattice.sparse:
-            first, second = np.triu_indices(lattice.size)
-            lag = lattice.index[second] - lattice.index[first]
-            order = np.argsort(lag, kind="stable")
-            self._entries = (first * lattice.size + second)[order]
-            self._starts = np.searchsorted(lag[order], lattice.lags)
-
-    def of(self, q: Complex) -> Complex:
-        """Lag polynomials (K, L) of Hermitian matrices q (K, N, N)."""
-        if self.lattice.sparse:
-            c: Complex = np.add.reduceat(q.reshape(len(q), -1)[:, self._entries], self._starts, axis=1)
-            c[:, 1:] *= 2
-            return c
-        q = self.lattice.spread_out(self.lattice.spread_out(q, 1), 2)
-        return self._sums(len(q), q.dtype, lambda part, out: np.copyto(out, q[part]))
-
-    def of_products(self, x: Complex, conjugate: Complex) -> Complex:
-        """Lag polynomials (K, L) of X Xᴴ for factors x (K, N, M) and their conjugates."""
-        if self.lattice.sparse:
-            return self.of(np.matmul(x, conjugate.swapaxes(1, 2)))
-        n = self.lattice.span
-        x = self.lattice.spread_out(x, 1)
-        if n > MATMUL_LIMIT:
-            points = fft.next_fast_len(2 * n)
-            step = max(_TRANSFORM_BYTES // (points * x.shape[2] * x.itemsize), 1)
-            return np.concatenate(
-                [self._of_spectrum(x[i : i + step], points) for i in range(0, len(x), step)]
-            )
-        across = self.lattice.spread_out(conjugate, 1).swapaxes(1, 2)
-        return self._sums(len(x), x.dtype, lambda part, out: np.matmul(x[part], across[part], out=out))
-
-    def _of_spectrum(self, x: Complex, points: int) -> Complex:
-        transform = np.ascontiguousarray(fft.fft(x, points, axis=1))
-        reals = transform.view(transform.real.dtype)
-        power = np.einsum("kfm,kfm->kf", reals, reals)
-        c: Complex = fft.rfft(power, axis=1, norm="forward")[:, : self.lattice.span]
-        c[:, 1:] *= 2
-        return c
-
-    def _sums(self, count: int, dtype: np.dtype[Any], fill: Callable[[slice, Complex], object]) -> Complex:
-        """Lag polynomials of `count` matrices, which `fill` writes, some at a time."""
-        c = np.empty((count, self.lattice.span), dtype)
-        room, diagonals = self._memory(count, dtype)
-        for i in range(0, count, len(room)):
-            part = slice(i, min(i + len(room), count))
-            fill(part, room[: part.stop - i])
-            c[part] = np.einsum("kij->kj", diagonals[: part.stop - i]).view(dtype)
-        c[:, 1:] *= 2
-        return c
-
-    def _memory(self, count: int, dtype: np.dtype[Any]) -> tuple[Complex, NDArray[Any]]:
-        """Room for `count` matrices, or as many as stay in cache, and its view with diagonals as columns."""
-        n = self.lattice.span
-        count = min(count, max(_SCRATCH_BYTES // (2 * n * n * dtype.itemsize), 1))
-        if dtype not in self._scratch or len(self._scratch[dtype][0]) < count:
-            memory = np.zeros((count, n, 2 * n), dtype)
-            reals = memory.view(memory.real.dtype)
-            step = reals.strides[-1]
-            strides = (reals.strides[0], (4 * n + 2) * step, step)
-            diagonals = np.lib.stride_tricks.as_strided(reals, (count, n, 2 * n), strides)
-            self._scratch[dtype] = memory[:, :, :n], diagonals
-        return self._scratch[dtype]
+def covariances(x: Complex) -> Complex:
+    """X Xᴴ (K, N, N) of snapshot matrices x (K, N, M), some at a time."""
+    k, n, m = x.shape
+    product = np.empty((k, n, n), x.dtype)
+    step = max(_SCRATCH_BYTES // (n * max(n, m) * x.itemsize), 1)
+    for i in range(0, k, step):
+        part = x[i : i + step]
+        np.matmul(part, part.conj().swapaxes(1, 2), out=product[i : i + step])
+    return product
 
 
 def forward_backward(r: Complex) -> Complex:

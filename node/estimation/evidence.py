@@ -26,7 +26,9 @@ NEAR: Final = 4.0
 LOBE: Final = 1.0
 """Cells from the estimate within which its own main lobe is."""
 LEAST: Final = 1e-4
-"""Shares of power below which nothing is told apart."""
+"""Shares of power below which nothing is told apart ..."""
+MOST: Final = 10.0
+"""... and above which."""
 
 
 class AxisEvidence:
@@ -59,9 +61,10 @@ class AxisEvidence:
         self._scale = lattice.size / (2 * np.maximum(lattice.pairs, 1))
         count = 2 * lattice.span
         offsets = np.arange(count) - count // 2
-        self._around = Circle(lattice.lags, count, -(count // 2), np.float32)
-        self._away = np.abs(offsets) / 2 > LOBE
-        self._near = self._away & (np.abs(offsets) / 2 <= NEAR)
+        offsets = offsets[np.abs(offsets) / 2 > LOBE]
+        offsets = offsets[np.argsort(np.abs(offsets), kind="stable")]
+        self._near = int(np.count_nonzero(np.abs(offsets) / 2 <= NEAR))
+        self._around = Circle(lattice.lags, count, offsets, np.float32)
 
     def of(self, lags: Complex, turned: Complex, u_std: Floats, snapshots: Floats) -> Floats:
         """Evidence (U, F) on estimates.
@@ -77,34 +80,26 @@ class AxisEvidence:
         snapshots
             (U,) behind each covariance.
         """
-        n = self._lattice.size
+        n, shares = self._lattice.size, len(LAGS)
         total = lags[:, 0].real
         noise = np.minimum(self._floor.power(lags, snapshots), total)
         noise = np.maximum(noise, LEAST * LEAST * total)
         signal = np.maximum(total - noise, total / np.sqrt(n * snapshots))
-        coherence = turned[:, self._picked] * self._scale[self._picked] / signal[:, None]
+        coherence = turned[:, self._picked] * (self._scale[self._picked] / signal[:, None])
         beams = self._around.values(turned)
-        beams -= noise[:, None].astype(np.float32)
-        beams /= (n * signal)[:, None].astype(np.float32)
-        # not one of the beams, whose rounding may be all that is left
+        # the path's own is not one of these beams, whose rounding may be all that is left
         path = (turned.real.sum(axis=1) - noise) / (n * signal)
-        near = (
-            np.maximum(beams[:, self._near], 0).sum(axis=1) / 2 if self._near.any() else np.zeros(len(lags))
-        )
-        highest = beams[:, self._away].max(axis=1) if self._away.any() else np.zeros(len(lags))
-        columns = [
-            np.log(u_std * self._lattice.span / (2 * np.pi)),
-            np.log(signal / noise),
-            _log(1 - path),
-            *(_log(1 - coherence.real[:, i]) for i in range(len(LAGS))),
-            *(_log(np.abs(coherence.imag[:, i])) for i in range(len(LAGS))),
-            _log(near),
-            _log(highest),
-            np.full(len(lags), np.log(self._cell)),
-        ]
-        return np.stack(columns, axis=1)
-
-
-def _log(share: NDArray[Any]) -> Floats:
-    logarithm: Floats = np.log(np.clip(share, LEAST, 10.0).astype(np.float64))
-    return logarithm
+        near = np.maximum(beams[:, : self._near] - noise[:, None].astype(np.float32), 0).sum(axis=1) / 2
+        highest = beams.max(axis=1) - noise if beams.shape[1] else np.zeros(len(lags))
+        found = np.empty((len(self.NAMES), len(lags)))
+        found[0] = u_std * (self._lattice.span / (2 * np.pi))
+        found[1] = signal / noise
+        found[2] = 1 - path
+        found[3 : 3 + shares] = 1 - coherence.real.T
+        np.abs(coherence.imag.T, out=found[3 + shares : 3 + 2 * shares])
+        found[-3] = near / (n * signal)
+        found[-2] = highest / (n * signal)
+        found[-1] = self._cell
+        np.clip(found[2:-1], LEAST, MOST, out=found[2:-1])
+        evidence: Floats = np.log(found, out=found).T
+        return evidence

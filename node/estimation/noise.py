@@ -37,8 +37,7 @@ class NoiseFloor:
         full = np.correlate(taper, taper, "full")[span - 1 :] / np.vdot(taper, taper)
         kernel = np.where(lattice.pairs > 0, full[lags], 0)
         window = kernel * lattice.size / np.maximum(lattice.pairs, 1)
-        self._window = window
-        self._beams = Circle(lags, span)
+        self._beams = Circle(lags, span, np.arange(span), np.float32, window)
         both_sides = np.r_[1.0, np.full(len(lags) - 1, 2.0)]
         self._spread = math.sqrt(float(np.sum(both_sides * kernel * window)) / lattice.size)
 
@@ -52,8 +51,8 @@ class NoiseFloor:
         snapshots
             (U,) number behind each.
         """
-        beams = self._beams.values(lags * self._window)
-        half = beams.shape[1] // 2
-        quiet = np.partition(beams, half - 1, axis=1)[:, :half].mean(axis=1)
+        beams = self._beams.values(lags)
+        beams.sort(axis=1)
+        quiet = beams[:, : beams.shape[1] // 2].mean(axis=1, dtype=np.float64)
         power: Floats = quiet / np.maximum(1 - _LOWER_HALF * self._spread / np.sqrt(snapshots), 0.1)
         return power

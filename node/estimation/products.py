@@ -24,4 +24,4 @@ def row_products(rows: NDArray[Any], table: NDArray[Any]) -> NDArray[Any]:
         filled[:count] = rows
         rows = filled
     product: NDArray[Any] = np.matmul(rows.reshape(pieces, AT_A_TIME, length), table)
-    return product.reshape(pieces * AT_A_TIME, -1)[:count]
+    return product.reshape(pieces * AT_A_TIME, table.shape[1])[:count]

@@ -79,13 +79,12 @@ class SeparateLocator(Locator):
 
     def features(self, csi: NDArray[np.complex64]) -> Features:
         """Of each axis there is, and the amplitude."""
-        conjugate = csi.conj()
         kept: dict[str, NDArray[Any]] = {}
         if self._theta is not None:
-            kept["theta"] = self._theta.of_frames(csi, conjugate)
+            kept["theta"] = self._theta.of_frames(csi)
         for axis in (self._rho, self._level):
             if axis is not None and axis.name not in kept:
-                kept[axis.name] = axis.of_frames(csi.swapaxes(1, 2), conjugate.swapaxes(1, 2))
+                kept[axis.name] = axis.of_frames(csi.swapaxes(1, 2))
         if self._amplitudes:
             kept["amplitude"] = self._amplitude.of_frames(csi)
         first = self._theta or self._rho or self._level

@@ -12,7 +12,7 @@ from chachart.node.data.elements import lattice, partners
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation import spectra
 from chachart.node.estimation.bounds import information_scale, mvdr_excess
-from chachart.node.estimation.covariance import Bank, Grouping
+from chachart.node.estimation.covariance import Bank, Grouping, covariances
 from chachart.node.estimation.directions.board import BoardManifold
 from chachart.node.estimation.directions.free import FreeManifold, RingManifold
 from chachart.node.estimation.directions.manifold import DirectionManifold
@@ -75,12 +75,9 @@ class DirectionAxis(SlotState):
             self._factors = Factors(method, self.manifold.size, options, self.manifold.corners)
             self.children["factors"] = self._factors
 
-    def of_frames(self, x: Complex, conjugate: Complex) -> Complex:
-        """What is kept of each frame, from snapshot matrices x (K, N, M) and their conjugates."""
-        if self.method == "bartlett":
-            return self.whole.features(x, conjugate)
-        product: Complex = np.matmul(x, conjugate.swapaxes(1, 2))
-        return product
+    def of_frames(self, x: Complex) -> Complex:
+        """What is kept of each frame, from snapshot matrices x (K, N, M)."""
+        return self.whole.features(x, x.conj()) if self.method == "bartlett" else covariances(x)
 
     def energy(self, kept: Complex) -> NDArray[Any]:
         """Sum of |h|^2 of each frame (K,)."""

@@ -15,7 +15,9 @@ def test_values_are_those_of_the_sum(lags: np.ndarray, dtype: type, shift: int) 
     rng = np.random.default_rng(len(lags))
     points = 2 * int(lags[-1] + 1)
     c = rng.standard_normal((5, len(lags))) + 1j * rng.standard_normal((5, len(lags)))
-    u = 2 * np.pi * (np.arange(points) - shift) / points
-    exact = (c @ np.exp(1j * np.outer(lags, u))).real
-    values = Circle(lags, points, -shift, dtype).values(c)
+    at = np.arange(points) - shift
+    u = 2 * np.pi * at / points
+    window = rng.random(len(lags))
+    exact = ((c * window) @ np.exp(1j * np.outer(lags, u))).real
+    values = Circle(lags, points, at, dtype, window).values(c)
     np.testing.assert_allclose(values, exact, atol=(1e-3 if dtype is np.float32 else 1e-9))

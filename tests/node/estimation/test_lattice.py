@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chachart.node.estimation.covariance import LagSums
+from chachart.node.estimation.lag_sums import LagSums
 from chachart.node.estimation.lattice import Lattice
 from chachart.node.estimation.manifold import AngleManifold, derivatives, phasors, polynomial_table
 from chachart.node.estimation.noise import NoiseFloor
@@ -35,7 +35,7 @@ def test_lag_sums_give_the_quadratic_form(values: list[int], seed: int) -> None:
     np.testing.assert_allclose(a, np.exp(1j * u[:, None] * lattice.index), atol=1e-9)
     expected = np.einsum("kn,knm,km->k", a.conj(), q, a).real
     sums = LagSums(lattice)
-    for c in (sums.of(q), sums.of_products(x, x.conj())):
+    for c in (sums.of(q), sums.of_products(x)):
         assert c.shape == (3, len(lattice.lags))
         value = derivatives(np.ascontiguousarray(c.T), u, lattice)[0]
         np.testing.assert_allclose(value, expected, atol=1e-8 * np.abs(q).sum())
@@ -73,6 +73,6 @@ def test_noise_floor_of_a_path_and_noise(places: tuple[int, ...]) -> None:
     noise = (rng.standard_normal((ues, n, m)) + 1j * rng.standard_normal((ues, n, m))) / np.sqrt(2)
     a = np.exp(1j * rng.uniform(-np.pi, np.pi, (ues, 1)) * lattice.index)
     x = noise + 10 * a[:, :, None] * np.exp(2j * np.pi * rng.random((ues, 1, m)))
-    c = LagSums(lattice).of_products(x, x.conj()) / (m * n)
+    c = LagSums(lattice).of_products(x) / (m * n)
     power = NoiseFloor(lattice).power(c, np.full(ues, float(m)))
     assert np.median(power) == pytest.approx(1, rel=0.35)

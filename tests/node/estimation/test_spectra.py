@@ -7,7 +7,8 @@ import pytest
 
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation import order, spectra
-from chachart.node.estimation.covariance import LagSums, forward_backward
+from chachart.node.estimation.covariance import forward_backward
+from chachart.node.estimation.lag_sums import LagSums
 from chachart.node.estimation.lattice import Lattice
 from chachart.node.estimation.manifold import (
     AngleManifold,
@@ -22,7 +23,7 @@ from chachart.node.estimation.subspace import SubspaceTracker, dominant
 
 
 def lags(factor: np.ndarray) -> np.ndarray:
-    return LagSums(Lattice.even(factor.shape[1])).of_products(factor, factor.conj())
+    return LagSums(Lattice.even(factor.shape[1])).of_products(factor)
 
 
 def music(r: np.ndarray, sources: int) -> np.ndarray:
