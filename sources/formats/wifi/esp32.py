@@ -1,15 +1,11 @@
 """Text of ESP32 boards: one line a frame, `CSI_DATA,...,[imaginary real imaginary real ...]`.
 
-Dialects of esp-csi (25 columns; 15 for ESP32-C5 and C6; 30 of console_test, whose list can be base64) and of
-the ESP32-CSI-Tool (26 columns). A line `type,...` names the columns; else their number tells. Other lines are
-log messages and are passed over; a line that is not whole is left out.
+What esp-csi (also for ESP32-C5 and C6, and its console_test), the ESP32-CSI-Tool and their descendants write;
+see `esp32_lines`. Other lines are log messages and are passed over; a line that is not whole is left out.
 """
 
 from __future__ import annotations
 
-import base64
-import binascii
-import re
 from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,43 +16,19 @@ from numpy.typing import NDArray
 from chachart.sources.formats.base import HEAD_BYTES
 from chachart.sources.formats.clock import unwrapped
 from chachart.sources.formats.wifi.capture import WifiCapture
-from chachart.sources.formats.wifi.esp32_fields import carrier_hz, fields
+from chachart.sources.formats.wifi.esp32_fields import Field, carrier_hz, layouts
+from chachart.sources.formats.wifi.esp32_lines import MARK, Line, address, is_heading, lines, number
 from chachart.sources.formats.wifi.log import Group, Kind, Log, Tones
 
 NAME = "ESP32 .csv"
 
-_MARK = b"CSI_DATA,"
-_HEADINGS = b"type,"
-_N = "mac rssi rate sig_mode mcs bandwidth smoothing not_sounding aggregation stbc fec_coding sgi noise_floor"
-_RADIO = f"{_N} ampdu_cnt channel secondary_channel local_timestamp ant sig_len rx_state"
-_DIALECTS = {
-    len(words.split()) - 1: tuple(words.split())
-    for words in (
-        f"type id {_RADIO} len first_word data",
-        f"type role {_RADIO} real_time_set real_timestamp len data",
-        "type seq mac rssi rate noise_floor fft_gain agc_gain channel local_timestamp sig_len rx_state len "
-        "first_word data",
-        f"type seq timestamp target_seq target {_RADIO} agc_gain fft_gain len first_word data",
-    )
-}
-"""Names of columns by how many stand before the list."""
-_ALIASES = {
-    "channel_primary": "channel",
-    "channel_secondary": "secondary_channel",
-    "cwb": "bandwidth",
-    "first_word_invalid": "first_word",
-    "CSI_DATA": "data",
-}
-_LIST = re.compile(rb'"?\[([-0-9, ]*)\]"?\s*\Z')
-_BASE64 = re.compile(rb'"?([A-Za-z0-9+/]+={0,2})"?\s*\Z')
-_MAC = re.compile(rb"(?:[0-9A-Fa-f]{2}:){5}[0-9A-Fa-f]{2}\Z")
-_MOST = 4096
-"""Numbers in a list; more are two lines that ran into each other."""
 _FIRST_WORD = 2
 """Complex values in the first word."""
+_CLEAR = 0.25
+"""Another order of subcarriers is believed where so little power is left on those that carry nothing."""
 
 
-class _Line(NamedTuple):
+class _Frame(NamedTuple):
     values: NDArray[np.int16]
     mac: int
     clock: int
@@ -65,19 +37,20 @@ class _Line(NamedTuple):
     agc: int
     fft: int
     channel: int
-    secondary: int
+    secondary: int | None
     invalid: bool
     has_gains: bool
 
 
 def why_not(head: bytes) -> str | None:
     """Why a file that begins with `head` is not of this format; None if it is or may be."""
-    if head.startswith(_MARK) or b"\n" + _MARK in head:
+    first, _, _ = head.partition(b"\n")
+    if MARK in head or is_heading(first):
         return None
     text = b"\0" not in head and all(octet >= 0x20 or octet in b"\t\r\n\x1b\x07\x08\x0c" for octet in head)
     if len(head) >= HEAD_BYTES and text:
         return None  # a log whose first frame comes later; `read` looks through all of it
-    return "no line begins with CSI_DATA"
+    return "no line has CSI_DATA"
 
 
 def open_capture(path: Path) -> WifiCapture:
@@ -93,36 +66,24 @@ def open_capture(path: Path) -> WifiCapture:
 
 def read(data: NDArray[np.uint8]) -> Log:
     """The frames of whole lines, bytes (N,) of a file or as a serial port gave them."""
-    found: list[_Line] = []
-    number: list[int] = []
-    count = broken = 0
-    dialects = dict(_DIALECTS)
-    for text in data.tobytes().split(b"\n"):
-        if text.startswith(_HEADINGS):
-            columns = tuple(_ALIASES.get(name, name) for name in text.decode("latin-1").strip().split(","))
-            if "data" in columns:
-                dialects[columns.index("data")] = columns
-        elif text.startswith(_MARK):
-            parsed = _parsed(text, dialects)
-            if parsed is None:
-                broken += 1
-            else:
-                found.append(parsed)
-                number.append(count)
-            count += 1
+    frames = [None if line is None else _frame(line) for line in lines(data.tobytes())]
+    found = [(n, frame) for n, frame in enumerate(frames) if frame is not None]
+    broken = len(frames) - len(found)
     left_out = Counter({"broken line": broken} if broken else {})
-    clock = unwrapped(np.array([line.clock for line in found], np.int64), bits=32) * 1000 if found else None
-    parts: dict[tuple[int, int, int], list[int]] = {}
-    for row, line in enumerate(found):
+    parts: dict[tuple[int, int | None, int], list[int]] = {}
+    for row, (_, frame) in enumerate(found):
         # The numbers of the legacy field are the same whatever follows it.
-        known = fields(line.secondary, len(line.values) // 2)
-        size = len(known[0].order) if known else len(line.values) // 2
-        parts.setdefault((size, line.secondary, line.channel), []).append(row)
-    groups = [
-        _group([found[row] for row in rows], np.array(number)[rows], clock[rows])
-        for rows in parts.values()
-        if clock is not None
-    ]
+        count = len(frame.values) // 2
+        known = layouts(frame.secondary, count)
+        size = len(known[0][0].order) if len(known) == 1 else count
+        parts.setdefault((size, frame.secondary, frame.channel), []).append(row)
+    groups = []
+    if found:
+        clock = unwrapped(np.array([frame.clock for _, frame in found], np.int64), bits=32) * 1000
+        groups = [
+            _group([found[n][1] for n in rows], np.array([found[n][0] for n in rows]), clock[rows])
+            for rows in parts.values()
+        ]
     return Log(
         groups,
         left_out,
@@ -132,10 +93,9 @@ def read(data: NDArray[np.uint8]) -> Log:
     )
 
 
-def _group(lines: list[_Line], number: NDArray[np.int64], time: NDArray[np.int64]) -> Group:
+def _group(lines: list[_Frame], number: NDArray[np.int64], time: NDArray[np.int64]) -> Group:
     first = lines[0]
-    lists = [fields(line.secondary, len(line.values) // 2) for line in lines]
-    known = lists[0]
+    known = _layout(lines)
     size = len(known[0].order) if known else len(first.values) // 2
     values = np.stack([line.values[: 2 * size] for line in lines]).reshape(len(lines), size, 2)
     order = known[0].order if known else tuple(range(size))
@@ -163,11 +123,11 @@ def _group(lines: list[_Line], number: NDArray[np.int64], time: NDArray[np.int64
         1,
         size,
         of_field,
-        carrier_hz=carrier_hz(first.channel, first.secondary),
+        carrier_hz=carrier_hz(first.channel, first.secondary, of_field),
         channel=first.channel,
     )
     more = {}
-    if all(found == known for found in lists):
+    if all(len(line.values) == len(first.values) for line in lines):
         for field in known[1:]:
             pairs = np.stack([line.values for line in lines]).reshape(len(lines), -1, 2)
             picked = pairs[:, field.start : field.start + len(field.order)][:, list(field.order)]
@@ -182,74 +142,57 @@ def _complex(pairs: NDArray[np.int16]) -> NDArray[np.complex64]:
     return values
 
 
-def _parsed(line: bytes, dialects: dict[int, tuple[str, ...]]) -> _Line | None:
-    """What a line says; None if it is not whole."""
-    before, bracket, rest = line.partition(b"[")
-    if bracket:
-        words = before.rstrip(b'"').split(b",")[:-1]
-        match = _LIST.match(b"[" + rest)
-        numbers = match and match[1].replace(b",", b" ").split()
-    else:
-        *words, last = line.split(b",")
-        match = _BASE64.match(last)
-        numbers = match and _unpacked(match[1])
-    columns = dialects.get(len(words))
-    if not numbers or columns is None or len(numbers) % 2 or len(numbers) > _MOST:
-        return None
-    try:
-        values = np.array([int(word) for word in numbers], np.int64)
-        row = dict(zip(columns, words, strict=False))
-        told = _number(row, "len")
-    except (ValueError, OverflowError):
-        return None
-    if np.abs(values).max() > 1 << 14 or not _complete(len(values), told):
-        return None
-    return _facts(row, values.astype(np.int16))
+def _layout(frames: list[_Frame]) -> tuple[Field, ...]:
+    """The fields of these frames' lists: what the tools say, unless what carries no signal contradicts it."""
+    first = frames[0]
+    usual, *others = layouts(first.secondary, len(first.values) // 2) or ((),)
+    same = [frame.values for frame in frames if len(frame.values) == len(first.values)]
+    if not others:
+        return usual
+    pairs = np.stack(same).reshape(len(same), -1, 2).astype(np.float64)
+    power = np.square(pairs).sum(axis=(0, 2))
+    left = [_on_silent(power, layout) for layout in (usual, *others)]
+    best = int(np.argmin(left))
+    return (usual, *others)[best] if left[best] < _CLEAR * left[0] else usual
 
 
-def _facts(row: dict[str, bytes], values: NDArray[np.int16]) -> _Line | None:
-    address = row.get("mac", b"").strip()
-    if not _MAC.match(address):
+def _on_silent(power: NDArray[np.float64], layout: tuple[Field, ...]) -> float:
+    """Mean power (N,) of the list on subcarriers that carry nothing, against those that carry a signal."""
+    silent: list[int] = []
+    carrying: list[int] = []
+    for field in layout:
+        for tone, place in zip(field.tones.numbers or (), field.order, strict=True):
+            (carrying if tone in field.tones.used else silent).append(field.start + place)
+    signal = float(power[carrying].mean())
+    return float(power[silent].mean()) / signal if signal > 0 else 1.0
+
+
+def _frame(line: Line) -> _Frame | None:
+    """What a line says; None if it makes no sense."""
+    row = line.row
+    sender = address(row.get("mac", b""))
+    if sender is None:
         return None
     try:
-        line = _Line(
-            values,
-            int(address.replace(b":", b""), 16),
-            _number(row, "local_timestamp"),
-            _number(row, "rssi"),
-            _number(row, "noise_floor"),
-            _number(row, "agc_gain"),
-            _number(row, "fft_gain"),
-            _number(row, "channel"),
-            _number(row, "secondary_channel"),
-            _number(row, "first_word") != 0,
+        frame = _Frame(
+            line.numbers,
+            sender,
+            number(row, "local_timestamp"),
+            number(row, "rssi"),
+            number(row, "noise_floor"),
+            number(row, "agc_gain"),
+            number(row, "fft_gain"),
+            number(row, "channel"),
+            number(row, "secondary_channel") if "secondary_channel" in row else None,
+            number(row, "first_word") != 0,
             "agc_gain" in row and "fft_gain" in row,
         )
+        told = number(row, "first_word")
     except ValueError:
         return None
-    small = all(abs(number) < 1 << 15 for number in (line.rssi, line.noise, line.agc, line.fft))
-    return line if small and 0 <= line.clock < 1 << 32 and line.secondary in (0, 1, 2) else None
-
-
-def _complete(count: int, told: int) -> bool:
-    """Whether a list of so many numbers is whole where its line says `told`.
-
-    The tools may print the legacy field only; numbers of 12 bits take two bytes.
-    """
-    return told in (0, count, 2 * count) or (count == 128 and told > 128)
-
-
-def _number(row: dict[str, bytes], name: str) -> int:
-    """A column as a number, 0 where there is none."""
-    word = row.get(name, b"0").strip()
-    if not re.fullmatch(rb"-?[0-9]{1,12}", word):
-        raise ValueError(f"{name} is no number")
-    return int(word)
-
-
-def _unpacked(text: bytes) -> list[int] | None:
-    try:
-        numbers: list[int] = np.frombuffer(base64.b64decode(text, validate=True), np.int8).tolist()
-    except (binascii.Error, ValueError):
-        return None
-    return numbers
+    small = all(abs(value) < 1 << 15 for value in (frame.rssi, frame.noise, frame.agc, frame.fft))
+    clock = frame.clock + (
+        1 << 32 if frame.clock < 0 else 0
+    )  # some print the unsigned clock as a signed number
+    good = small and told in (0, 1) and 0 <= clock < 1 << 32 and frame.secondary in (None, 0, 1, 2)
+    return frame._replace(clock=clock) if good and abs(frame.channel) < 1 << 15 else None

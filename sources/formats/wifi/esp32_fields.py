@@ -39,45 +39,95 @@ def _native(secondary: int, count: int) -> tuple[int, ...]:
     return tuple(range(count)) if secondary == BELOW else tuple(range(-count, 0))
 
 
-_LENGTHS = {
+_LENGTHS: dict[int | None, dict[int, tuple[int, ...]]] = {
     # secondary channel: {values in the list: values in each field}
     NONE: {64: (64,), 128: (64, 64), 192: (64, 64, 64)},
     BELOW: {64: (64,), 128: (64, 64), 190: (64, 63, 63), 192: (64, 128), 306: (64, 121, 121)},
     ABOVE: {64: (64,), 128: (64, 64), 188: (64, 62, 62), 192: (64, 128), 306: (64, 121, 121)},
 }
-_C5_HT20 = 57
-"""Values of an HT20 packet of ESP32-C5 without LLTF: 0 to 28, -28 to -1."""
+_C5 = {
+    # values in the list: (name, values, format, bandwidth) of each field
+    53: (("csi", 53, "legacy", 20),),
+    57: (("csi", 57, "ht", 20),),
+    117: (("csi", 117, "ht", 40),),
+    234: (("csi", 117, "ht", 40), ("csi_stbc_htltf", 117, "ht", 40)),
+    245: (("csi", 245, "he", 20),),
+}
+"""ESP32-C5 and C61: without guards, from 0 up, then from the lowest to -1."""
+_C6 = {
+    64: ((("csi", 64, "legacy", 20),), (("csi", 64, "ht", 20),)),
+    114: ((("csi", 57, "ht", 20), ("csi_stbc_htltf", 57, "ht", 20)),),
+    128: ((("csi", 128, "ht", 40),), (("csi", 64, "ht", 20), ("csi_stbc_htltf", 64, "ht", 20))),
+    256: ((("csi", 256, "he", 20),), (("csi", 128, "ht", 40), ("csi_stbc_htltf", 128, "ht", 40))),
+}
+"""The same for chips that do not tell the secondary channel: what is silent says which it is."""
 
 
 @cache
-def fields(secondary: int, count: int) -> tuple[Field, ...]:
-    """The fields of a list of `count` complex values; none where its subcarriers are not known.
+def layouts(secondary: int | None, count: int) -> tuple[tuple[Field, ...], ...]:
+    """What a list of `count` complex values can be, the likeliest first; none where nobody says it.
 
-    >>> [(f.name, len(f.order)) for f in fields(BELOW, 192)]
+    `secondary` is None where the tool does not tell it, as for ESP32-C5 and C6. Some chips and tools write
+    subcarriers in the order of the FFT, some ascending.
+
+    >>> [(f.name, len(f.order)) for f in layouts(BELOW, 192)[0]]
     [('csi', 64), ('csi_htltf', 128)]
+    >>> [f[0].tones.numbers[0] for f in layouts(None, 245)]
+    [-122, -122]
     """
-    if count == _C5_HT20:
-        return (_field("csi", 0, (*range(29), *range(-28, 0)), tones.carrying("ht", 20), 0),)
+    told = (_C5[count],) if count in _C5 else _C6.get(count, ()) if secondary is None else ()
+    orders = [(parts, shifted) for shifted in (False, True) for parts in told]
+    found = [_without_secondary(parts, shifted) for parts, shifted in orders]
+    if not found and (known := _with_secondary(secondary, count)):
+        found = [known]
+    return tuple(found)
+
+
+def _without_secondary(parts: tuple[tuple[str, int, str, int], ...], ascending: bool) -> tuple[Field, ...]:
+    fields: list[Field] = []
+    start = 0
+    for name, size, packet_format, mhz in parts:
+        half = -(-size // 2)
+        native = (*range(half), *range(half - size, 0))
+        spacing = tones.HE_SPACING_HZ if packet_format == "he" else tones.SPACING_HZ
+        used = tones.carrying(packet_format, mhz)
+        fields.append(_field(name, start, tuple(sorted(native)) if ascending else native, used, 0, spacing))
+        start += size
+    return tuple(fields)
+
+
+def _with_secondary(secondary: int | None, count: int) -> tuple[Field, ...]:
     found: list[Field] = []
     start = 0
     for place, size in enumerate(_LENGTHS.get(secondary, {}).get(count, ())):
         legacy = place == 0
         used = tones.carrying("legacy" if legacy else "ht", 40 if size > 64 else 20)
-        middle = 0 if size > 64 else _MIDDLE[secondary]
-        found.append(_field(_NAMES[place], start, _native(secondary, size), used, middle))
+        middle = 0 if size > 64 else _MIDDLE[secondary or NONE]
+        found.append(_field(_NAMES[place], start, _native(secondary or NONE, size), used, middle))
         start += size
     return tuple(found)
 
 
-def _field(name: str, start: int, native: tuple[int, ...], used: tuple[int, ...], middle: int) -> Field:
+def _field(
+    name: str,
+    start: int,
+    native: tuple[int, ...],
+    used: tuple[int, ...],
+    middle: int,
+    spacing_hz: float = tones.SPACING_HZ,
+) -> Field:
     order = sorted(range(len(native)), key=native.__getitem__)
     numbers = tuple(native[n] for n in order)
     there = set(numbers)
     carrying = tuple(n + middle for n in used if n + middle in there)
-    return Field(name, start, Tones(numbers, carrying), tuple(order))
+    return Field(name, start, Tones(numbers, carrying, (), spacing_hz), tuple(order))
 
 
-def carrier_hz(channel: int, secondary: int) -> float | None:
-    """Middle of the channel, of both halves where it is 40 MHz wide; None for a number that is none."""
+def carrier_hz(channel: int, secondary: int | None, field: Tones) -> float | None:
+    """Middle of the channel, of both halves where it is 40 MHz wide; None where nobody says it."""
     hz = tones.channel_hz(channel)
-    return None if hz is None else hz + {ABOVE: 1e7, BELOW: -1e7}.get(secondary, 0.0)
+    used = field.used or (0,)
+    wide = (used[-1] - used[0]) * (field.spacing_hz or 0) > 20e6
+    if hz is None or (secondary is None and wide):
+        return None
+    return hz + {ABOVE: 1e7, BELOW: -1e7}.get(secondary or NONE, 0.0)

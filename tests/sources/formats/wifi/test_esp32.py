@@ -2,10 +2,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from wifi_captures import ESP32_HEADINGS, esp32, esp32_line, integers
 
 from chachart.sources.formats.wifi.esp32 import read, why_not
+from chachart.sources.formats.wifi.esp32_lines import lines as parsed_lines
 from chachart.sources.formats.wifi.log import Log
+from chachart.sources.formats.wifi.tones import carrying
 
 CSI = integers(5, 64)
 
@@ -135,3 +139,129 @@ def test_a_log_whose_first_frame_comes_late_is_recognised() -> None:
     assert why_not(b"short text") is not None
     assert why_not(bytes(4096)) is not None
     assert len(log_of(text + esp32(CSI)).groups[0]) == 5
+
+
+def c5_lines(csi: np.ndarray, channel: int = 36) -> str:
+    values = np.stack([csi.imag, csi.real], -1).astype(int).reshape(len(csi), -1)
+    return "\n".join(
+        f"CSI_DATA,{n},02:00:00:00:00:01,-30,11,-96,32,11,{channel},{1000 + n},47,0,{len(row)},0,"
+        f'"[{",".join(map(str, row))}]"'
+        for n, row in enumerate(values)
+    )
+
+
+@pytest.mark.parametrize(
+    ("count", "packet_format", "mhz", "fields"),
+    [
+        (53, "legacy", 20, 1),
+        (57, "ht", 20, 1),
+        (114, "ht", 20, 2),
+        (117, "ht", 40, 1),
+        (234, "ht", 40, 2),
+        (245, "he", 20, 1),
+        (64, "ht", 20, 1),
+        (128, "ht", 40, 1),
+        (128, "ht", 20, 2),
+        (256, "he", 20, 1),
+    ],
+)
+@pytest.mark.parametrize("ascending", [False, True])
+def test_lists_without_secondary_channel(
+    count: int, packet_format: str, mhz: int, fields: int, ascending: bool
+) -> None:
+    size = count // fields
+    half = -(-size // 2)
+    native = [*range(half), *range(half - size, 0)]
+    if ascending:
+        native.sort()
+    used = carrying(packet_format, mhz)
+    csi = np.tile(np.array([complex(n, 1) if n in used else 0 for n in native]), (4, fields))
+    [group] = log_of(c5_lines(csi)).groups
+    tones = group.kind.tones
+    assert tones.numbers == tuple(sorted(native))
+    assert tones.used == used
+    assert tones.spacing_hz == (78_125 if packet_format == "he" else 312_500)
+    assert len(group.more) == fields - 1
+    for values in (group.csi, *(more for _, more in group.more.values())):
+        there = np.isin(tones.numbers, used)
+        np.testing.assert_array_equal(values[0, 0, 0, there].real, used)
+    assert group.kind.carrier_hz == (None if mhz == 40 else 5.18e9), "nobody says where the other half is"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda line: line + ",1600000000.25",
+        lambda line: line + ',"[1.5, 2.5]",walk,1',
+        lambda line: "2024-05-01 12:00:00: " + line,
+        lambda line: "17," + line,
+        lambda line: line.replace(",77,", ",77.0,", 1).replace(",-40,", ",-40.0,", 1),
+        lambda line: line.replace("02:00:00:00:00:01", "2:0:0:0:0:1"),
+        lambda line: line.replace("02:00:00:00:00:01", "02-00-00-00-00-01"),
+        lambda line: '"' + line.replace("CSI_DATA,", 'CSI_DATA",'),
+    ],
+)
+def test_what_loggers_and_spreadsheets_do_to_a_line(change: object) -> None:
+    text = "\n".join(change(line) for line in lines(CSI, clock=77).splitlines())  # type: ignore[operator]
+    for heading in ("", ESP32_HEADINGS + ",machine_timestamp\n"):
+        [group] = log_of(heading + text).groups
+        np.testing.assert_array_equal(group.csi[:, 0, 0], np.fft.fftshift(CSI, axes=1))
+        assert set(group.columns["ue"].tolist()) == {0x0200_0000_0001}
+        assert set(group.columns["time"].tolist()) == {77_000}
+
+
+def test_headings_name_columns_that_no_tool_has() -> None:
+    swapped = ESP32_HEADINGS.replace("local_timestamp,", "local_timestamp,esp_epoch_us,")
+    text = swapped + "\n" + lines(CSI, clock=77).replace(",77,", ",77,1600000000000000,")
+    [group] = log_of(text).groups
+    assert set(group.columns["time"].tolist()) == {77_000}
+    swapped = ESP32_HEADINGS.replace("local_timestamp,", "device_timestamp,local_timestamp,")
+    text = swapped + "\n" + lines(CSI, clock=77).replace(",77,", ",77,2025-11-13 17:39:42.845,")
+    assert set(log_of(text).groups[0].columns["time"].tolist()) == {77_000}
+
+
+def test_lines_without_their_mark() -> None:
+    text = ESP32_HEADINGS.removeprefix("type,id,") + "\n"
+    text += "\n".join(line.split(",", 2)[2] for line in lines(CSI).splitlines())
+    assert why_not(text.encode()) is None
+    [group] = log_of(text).groups
+    np.testing.assert_array_equal(group.csi[:, 0, 0], np.fft.fftshift(CSI, axes=1))
+
+
+def test_a_clock_printed_as_a_signed_number() -> None:
+    text = "".join(lines(CSI[:1], clock=clock) for clock in (2**31 - 5, 5 - 2**31, 15 - 2**31))
+    [group] = log_of(text).groups
+    assert np.diff(group.columns["time"]).tolist() == [10_000, 10_000]
+
+
+def test_two_lines_that_ran_into_each_other_are_two() -> None:
+    first, second = lines(CSI[:2]).splitlines()
+    log = log_of(first + second)
+    assert (len(log.groups[0]), log.frames) == (2, 2)
+    log = log_of(first[:300] + second)
+    assert (len(log.groups[0]), dict(log.left_out)) == (1, {"broken line": 1})
+
+
+def test_a_list_that_was_cut_to_some_subcarriers_in_all_lines() -> None:
+    text = lines(integers(20, 50)).replace(",100,0,", ",128,0,")
+    [group] = log_of(text).groups
+    assert (len(group), group.kind.subcarriers, group.kind.tones.numbers) == (20, 50, None)
+    assert not log_of(lines(integers(1, 50)).replace(",100,0,", ",128,0,")).groups, "one line is no habit"
+
+
+@given(st.lists(st.integers(-9999, 9999), min_size=2, max_size=40), st.sampled_from([", ", ",", " ", "  "]))
+def test_numbers_are_those_that_python_reads(numbers: list[int], between: str) -> None:
+    numbers = numbers[: len(numbers) // 2 * 2]
+    text = (
+        f"CSI_DATA,1,02:00:00:00:00:01,-30,11,-96,32,11,36,1000,47,0,0,0,[{between.join(map(str, numbers))}]"
+    )
+    [line] = parsed_lines(text.encode())
+    assert line is not None
+    assert line.numbers.tolist() == numbers
+
+
+@pytest.mark.parametrize("text", ["1 2-3", "1 --2", "1 -", "1 2 3 123456", "1 - 2", "1 2x"])
+def test_what_is_no_number_breaks_the_line(text: str) -> None:
+    good = "CSI_DATA,1,02:00:00:00:00:01,-30,11,-96,32,11,36,1000,47,0,0,0,[1 2]\n"
+    found = parsed_lines((good + good.replace("1 2]", text + "]") + good).encode())
+    assert [line is None for line in found] == [False, True, False]
