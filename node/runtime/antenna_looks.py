@@ -1,10 +1,11 @@
-"""Looks at the antennas now and then while frames come in, in the reader's thread."""
+"""Looks at the antennas now and then while frames come in, in the reader's thread; dead ones are left out."""
 
 from __future__ import annotations
 
 import logging
 import time
 from collections import deque
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,8 @@ class AntennaLooks:
     def __init__(self, array: ArrayGeometry) -> None:
         self._watch = AntennaWatch(array)
         self._report: dict[str, Any] = {}
+        self._dead_since: dict[str, float] = {}
+        self._dead = np.zeros(0, np.intp)
         self._next = 0.0
         self._array = array
         self._watched: tuple[int, float] | None = None
@@ -48,11 +51,23 @@ class AntennaLooks:
         if now >= self._next:
             self._next = now + LOOK_EVERY_S
             self._watch.look(block, FRAMES_A_LOOK)
-            self._tell(self._watch.report())
+            self._tell(self._watch.report(), now)
+
+    def without_dead(self, block: CsiBlock) -> CsiBlock:
+        """A block in which antennas that look dead have weight 0: their noise would only do harm."""
+        if not len(self._dead):
+            return block
+        csi = block.csi.copy()
+        csi[:, self._dead] = 0
+        return replace(block, csi=csi)
 
     def report(self) -> dict[str, Any]:
-        """See `AntennaWatch.report`."""
-        return self._report
+        """See `AntennaWatch.report`; `dead_s` says for how long dead antennas have been so, by number."""
+        report, since = self._report, self._dead_since
+        if not since:
+            return report
+        now = time.monotonic()
+        return report | {"dead_s": {number: now - then for number, then in since.items()}}
 
     def of_ue(self, ue: int) -> dict[str, Any]:
         """See `NodeAccess.antennas`."""
@@ -66,7 +81,7 @@ class AntennaLooks:
         picture = angle_delay(csi if calibration is None else calibration.apply(csi), self._array)
         return {"ue": ue, "time_ns": frames[-1][0], **response(csi[-1]), **picture}
 
-    def _tell(self, report: dict[str, Any]) -> None:
+    def _tell(self, report: dict[str, Any], now: float) -> None:
         before, faults = self._report.get("faults", {}), report.get("faults", {})
         for number, fault in faults.items():
             if before.get(number) != fault:
@@ -74,3 +89,6 @@ class AntennaLooks:
         for number in before.keys() - faults.keys():
             log.info("antenna %s is well again", number)
         self._report = report
+        dead = [number for number, fault in faults.items() if fault == "dead"]
+        self._dead_since = {number: self._dead_since.get(number, now) for number in dead}
+        self._dead = np.array([int(number) for number in dead], np.intp)

@@ -82,9 +82,7 @@ class ConditionWatch:
         yield from _sources(status)
         yield from _disks(status)
         yield from _estimates(status, then)
-        if faults := status["antennas"].get("faults"):
-            named = ", ".join(f"{number} {fault}" for number, fault in sorted(faults.items()))
-            yield f"antennas: {named}", "look at its cable, or list it in dead_antennas of [array]"
+        yield from _antennas(status["antennas"])
 
     def _input(self, status: dict[str, Any], then: _Then, now: float) -> Iterator[Trouble]:
         rejected = {
@@ -131,6 +129,15 @@ def _sources(status: dict[str, Any]) -> Iterator[Trouble]:
             )
         elif source["pid"] is None:
             yield f"{which}: its source is being restarted", "look into the log if that goes on"
+
+
+def _antennas(report: dict[str, Any]) -> Iterator[Trouble]:
+    """Those that are dead, and else those that are weak or saturated."""
+    faults, dead_s = report.get("faults", {}), report.get("dead_s", {})
+    silent = [f"antenna {n}: nothing for {dead_s[n]:.0f} s" for n in sorted(faults, key=int) if n in dead_s]
+    others = [f"antenna {n} {faults[n]}" for n in sorted(faults, key=int) if n not in dead_s]
+    if silent or others:
+        yield ", ".join(silent + others), "look at its cable, or list it in dead_antennas of [array]"
 
 
 def _disks(status: dict[str, Any]) -> Iterator[Trouble]:

@@ -201,7 +201,7 @@ class Reader:
         block = self._source.recv(min(max(wait, 0.0), RECV_TIMEOUT_S))
         now = self.stirred = time.monotonic()
         if block is not None and self._fits(block):
-            if not self._arrays or block.array == self._source.array.name:
+            if self._watched(block):
                 self.antennas.see(block, now)
             self._take(block, now)
         self._pass_on(self._partitioner.due(now + TIMER_S))
@@ -222,7 +222,14 @@ class Reader:
             self._tally.set(self.frames_in)
         for sink in self.sinks:
             sink.put(block)
+        # What is played again makes the same chart every time: there only [array] leaves antennas out.
+        if not self._source.lossless and self._watched(block):
+            block = self.antennas.without_dead(block)
         self._pass_on(self._partitioner.add(block, now, numbers))
+
+    def _watched(self, block: CsiBlock) -> bool:
+        """Whether a block is of the array whose antennas are watched: of several the first."""
+        return not self._arrays or block.array == self._source.array.name
 
     def _in_time(self, block: CsiBlock) -> CsiBlock:
         """With this host's time for frames of another day: no frame must move what others live by."""

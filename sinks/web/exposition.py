@@ -159,6 +159,12 @@ class _Collector(Collector):
         for number, fault in report.get("faults", {}).items():
             faults.add_metric([number, fault], 1)
         yield faults
+        dead = GaugeMetricFamily(
+            "chachart_antenna_dead_seconds", "Since when an antenna has given nothing.", labels=["antenna"]
+        )
+        for number, seconds in report.get("dead_s", {}).items():
+            dead.add_metric([number], seconds)
+        yield dead
 
 
 def _by_label(name: str, text: str, label: str, counts: Mapping[str, int]) -> Metric:

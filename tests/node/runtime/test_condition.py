@@ -68,7 +68,11 @@ def test_starting_says_who_is_missing() -> None:
         ),
         ({"sources": [{**SOURCE, "pid": None}]}, "array east: its source is being restarted", "log"),
         ({"relative": True}, '"isq" has no scale', "isq_reference"),
-        ({"antennas": {"faults": {"3": "dead"}}}, "antennas: 3 dead", "dead_antennas"),
+        (
+            {"antennas": {"faults": {"3": "dead", "5": "weak"}, "dead_s": {"3": 10.2}}},
+            "antenna 3: nothing for 10 s, antenna 5 weak",
+            "dead_antennas",
+        ),
     ],
 )
 def test_whatever_is_wrong_has_a_reason_and_a_fix(changes: dict[str, Any], reason: str, fix: str) -> None:

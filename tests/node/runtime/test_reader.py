@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from csi_samples import small_array, some_block
 
 from chachart.node.data.csi import CsiBlock
@@ -139,3 +140,31 @@ def test_live_frames_of_another_day_get_the_hosts_time() -> None:
     assert (np.abs(times - now_ns) < 60e9).all()
     reader, out = read([good, early], lossless=True, time_tolerance_s=60.0)
     assert reader.order.as_dict() == {}
+
+
+def test_a_dead_antenna_of_a_live_source_has_weight_0(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("chachart.node.runtime.antenna_looks.LOOK_EVERY_S", 0.0)
+    rng = np.random.default_rng(3)
+    given = []
+    for n in range(60):
+        waves = rng.standard_normal((10, 1, 3)) * np.exp(1j * rng.uniform(0, 2 * np.pi, (10, 4, 1)))
+        waves[:, 2] = 0.01 * rng.standard_normal((10, 3))
+        given.append(CsiBlock.of(waves.astype(np.complex64), ue=np.arange(10), time_ns=0, seq=10 * n))
+    recorded: list[CsiBlock] = []
+
+    class Recorder:
+        def put(self, block: CsiBlock) -> None:
+            recorded.append(block)
+
+    def prepare(reader: Reader) -> None:
+        reader.sinks = (Recorder(),)  # type: ignore[assignment]
+
+    reader, out = read(given, lossless=False, prepare=prepare, time_tolerance_s=1e12)
+    assert reader.antennas.report()["faults"] == {"2": "dead"}
+    assert list(reader.antennas.report()["dead_s"]) == ["2"]
+    assert out[0].csi[:, 2].all(), "nothing is known yet"
+    assert not out[-1].csi[:, 2].any()
+    assert out[-1].csi[:, [0, 1, 3]].all()
+    assert recorded[-1].csi.all(), "recordings keep what came"
+    _, out = read(given, lossless=True)
+    assert out[-1].csi.all(), "what is played again makes the same chart every time"
