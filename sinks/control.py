@@ -70,7 +70,7 @@ class Control(Sink):
         self.refused = Refusals("control")
         self._operations: Operations | None = None
         self._context: zmq.Context[zmq.Socket[bytes]] | None = None
-        self._sign_in_pagekeeper: Doorkeeper | None = None
+        self._doorkeeper: Doorkeeper | None = None
         self._socket: zmq.Socket[bytes] | None = None
         self._endpoint: str | None = None
 
@@ -99,10 +99,8 @@ class Control(Sink):
         self._socket.linger = 500
         self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_REQUEST_BYTES)
         try:
-            self._sign_in_pagekeeper = Doorkeeper(
-                self._context, self.security, self.refused, ("read", "steer")
-            )
-            self._sign_in_pagekeeper.guard(self._socket, self.settings.endpoint)
+            self._doorkeeper = Doorkeeper(self._context, self.security, self.refused, ("read", "steer"))
+            self._doorkeeper.guard(self._socket, self.settings.endpoint)
             self._endpoint = bind(self._socket, self.settings.endpoint, self.settings.spare_ports)
         except SetupError:
             self.close()
@@ -124,9 +122,9 @@ class Control(Sink):
 
     def close(self) -> None:
         """Let the socket go."""
-        if self._sign_in_pagekeeper is not None:
-            self._sign_in_pagekeeper.close()
-            self._sign_in_pagekeeper = None
+        if self._doorkeeper is not None:
+            self._doorkeeper.close()
+            self._doorkeeper = None
         if self._socket is not None:
             self._socket.close()
             self._socket = None

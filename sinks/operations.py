@@ -167,7 +167,7 @@ class Operations:
             If the request does not fit, is beyond `role`, or the node cannot carry it out; nothing has
             changed then.
         """
-        if role < Role.STEERER and request.get("op") not in READING:
+        if role < Role.STEERER and not _only_reads(request):
             raise RequestError(f"who may only read asks {', '.join(READING)}")
         try:
             asked = _REQUESTS.validate_python(dict(request))
@@ -205,6 +205,11 @@ class Operations:
         if not self._folder.is_dir():
             raise RequestError(f"the recording folder {self._folder} does not exist")
         return self._node.start_recording(target)
+
+
+def _only_reads(request: Mapping[str, Any]) -> bool:
+    """Whether it changes nothing; a replay without a wish only tells how it stands."""
+    return request.get("op") in READING or dict(request) == {"op": "replay"}
 
 
 def _first_mistake(error: ValidationError) -> str:

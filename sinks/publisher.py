@@ -66,7 +66,7 @@ class Publisher(Sink):
         super().__init__(settings, array)
         self.refused = Refusals("publisher")
         self._context: zmq.Context[zmq.Socket[bytes]] | None = None
-        self._sign_in_pagekeeper: Doorkeeper | None = None
+        self._doorkeeper: Doorkeeper | None = None
         self._node: NodeAccess | None = None
         self._endpoint: str | None = None
         self._seq = {"chart": 0, "quality": 0, "status": 0}
@@ -101,10 +101,8 @@ class Publisher(Sink):
         self._socket.maxmsgsize = MAX_SUBSCRIPTION_BYTES
         self._socket.linger = LINGER_MS
         try:
-            self._sign_in_pagekeeper = Doorkeeper(
-                self._context, self.security, self.refused, ("read", "steer")
-            )
-            self._sign_in_pagekeeper.guard(self._socket, self.settings.endpoint)
+            self._doorkeeper = Doorkeeper(self._context, self.security, self.refused, ("read", "steer"))
+            self._doorkeeper.guard(self._socket, self.settings.endpoint)
             self._endpoint = bind(self._socket, self.settings.endpoint)
         except SetupError:
             self.close()
@@ -145,9 +143,9 @@ class Publisher(Sink):
 
     def close(self) -> None:
         """Let the last messages go out, half a second at most, and stop listening."""
-        if self._sign_in_pagekeeper is not None:
-            self._sign_in_pagekeeper.close()
-            self._sign_in_pagekeeper = None
+        if self._doorkeeper is not None:
+            self._doorkeeper.close()
+            self._doorkeeper = None
         if self._context is not None:
             self._context.destroy()
             self._context = None
@@ -158,15 +156,15 @@ class Publisher(Sink):
 
     def _hear(self, frame: zmq.Frame) -> None:
         """A peer subscribes or unsubscribes; whatever else it sends has it disconnected."""
-        assert self._sign_in_pagekeeper is not None
+        assert self._doorkeeper is not None
         kind, topic = frame.bytes[:1], frame.bytes[1:]
         try:
             fd = int(frame.get(zmq.SRCFD))
         except zmq.ZMQError:  # it has gone, and ZeroMQ unsubscribes for it
             return
-        connection = self._sign_in_pagekeeper.connection(fd)
+        connection = self._doorkeeper.connection(fd)
         if kind not in (b"\0", b"\1"):
-            self._sign_in_pagekeeper.expel(fd, "no_subscription")
+            self._doorkeeper.expel(fd, "no_subscription")
             self._mixed_up = True
         if self._mixed_up:
             self._adopt_last()
@@ -177,7 +175,7 @@ class Publisher(Sink):
             with suppress(zmq.ZMQError):
                 self._socket.set(zmq.UNSUBSCRIBE, topic)
         elif len(connection.topics | {topic}) > self.security.max_subscriptions:
-            self._sign_in_pagekeeper.expel(fd, "too_many_subscriptions")
+            self._doorkeeper.expel(fd, "too_many_subscriptions")
         else:
             connection.topics.add(topic)
             self._subscribe(connection, topic)

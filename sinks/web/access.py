@@ -68,11 +68,14 @@ class Access:
         origin = headers.get("Origin")
         if origin is not None and _site(origin) != host.lower():
             return Refusal(403, "pages of another site may not ask this node", "foreign_page")
-        if role := self.tokens.cookie_role(_cookie(headers, cookie)):
-            return role
+        role = self.tokens.cookie_role(_cookie(headers, cookie))
         token = given if given is not None else _bearer(headers)
-        if token is not None and self.tokens:
-            return self.sign_in(peer, token)
+        if token is not None and self.tokens and role < Role.STEERER:
+            signed_in = self.sign_in(peer, token)
+            if role == Role.NOBODY or isinstance(signed_in, Role):
+                return signed_in
+        if role:
+            return role
         if self._trust_local and _is_local(peer, host, headers):
             return Role.STEERER
         if not self.tokens:

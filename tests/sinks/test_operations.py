@@ -7,6 +7,7 @@ import pytest
 from chart_samples import StillNode
 
 from chachart.node.data.errors import RequestError
+from chachart.node.net.security import Role
 from chachart.sinks.operations import Operations
 
 
@@ -22,3 +23,9 @@ from chachart.sinks.operations import Operations
 def test_mistakes_are_told_in_plain_words(tmp_path: Path, request_: dict[str, Any], words: str) -> None:
     with pytest.raises(RequestError, match=words):
         Operations(StillNode(), tmp_path).perform(request_)
+
+
+def test_who_may_only_look_winds_no_replay(tmp_path: Path) -> None:
+    operations = Operations(StillNode(), tmp_path)
+    with pytest.raises(RequestError, match="may only read"):
+        operations.perform({"op": "replay", "paused": True}, Role.READER)

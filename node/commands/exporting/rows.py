@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.commands.shared.geodesy import beside
+from chachart.node.commands.shared.tables import harmless
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.columns import COLUMNS, rounded
 from chachart.node.data.errors import SetupError
@@ -95,12 +96,7 @@ class Table:
     @staticmethod
     def _words(chart: ChartUpdate) -> dict[str, list[str]]:
         words = {"array": chart.array, "theta_method": chart.method.theta, "rho_method": chart.method.rho}
-        return {name: [_harmless(word)] * len(chart) for name, word in words.items()}
-
-
-def _harmless(word: str) -> str:
-    """The word, quoted where a spreadsheet would take it for a formula."""
-    return f"'{word}" if word.startswith(("=", "+", "-", "@", "\t", "\r")) else word
+        return {name: [harmless(word)] * len(chart) for name, word in words.items()}
 
 
 def write_csv(path: Path, charts: Iterable[ChartUpdate], table: Table, place: Place | None = None) -> int:

@@ -13,13 +13,20 @@ function save(blob, name) {
 
 export const stamp = () => new Date().toISOString().slice(0, 19).replace(/[-:]/g, '').replace('T', '-');
 
+/** Text as a cell of CSV: no spreadsheet takes it for a formula, and no comma or quote ends it. */
+function cell(text) {
+  const harmless = /^[=+\-@\t\r]/.test(text) ? `'${text}` : text;
+  return /[",\r\n]/.test(harmless) ? `"${harmless.replaceAll('"', '""')}"` : harmless;
+}
+
 /** The whole chart as CSV, one UE a row, as `chachart export` has it; unknown values are empty. */
 export function saveCsv(world, array, method) {
   const columns = world.columns.filter(({ name }) => world.present.has(name));
   const lines = [[...columns.map((column) => column.file_name), 'array', 'theta_method', 'rho_method'].join(',')];
   const text = (value, decimals) => (typeof value === 'bigint' ? `${value}` : Number.isFinite(value) ? `${Number(value.toFixed(decimals))}` : '');
+  const words = [array, method.theta, method.rho].map(cell);
   for (let i = 0; i < world.rows; i++) {
-    lines.push([...columns.map(({ name, decimals }) => text(world[name][i], decimals)), array, method.theta, method.rho].join(','));
+    lines.push([...columns.map(({ name, decimals }) => text(world[name][i], decimals)), ...words].join(','));
   }
   save(new Blob([`${lines.join('\n')}\n`], { type: 'text/csv' }), `chart-${array}-${stamp()}.csv`);
 }

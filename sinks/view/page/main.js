@@ -14,6 +14,7 @@ import { Picture } from './picture.js';
 import { Plan } from './plan.js';
 import { Recordings } from './recordings.js';
 import { Replay } from './replay.js';
+import { lock } from './steering.js';
 import { Stream } from './stream.js';
 import { World } from './world.js';
 
@@ -67,7 +68,7 @@ stream.addEventListener('state', () => {
   $('gone').classList.toggle('calm', over);
   const why = over ? 'The node has ended, as it should.' : stream.reason || 'The node is gone.';
   if (stream.state === 'gone') $('gone').textContent = `${why} This is the last chart it gave; trying to reach it again …`;
-  for (const id of ['theta', 'rho', 'record']) $(id).disabled = stream.state === 'gone';
+  lock(stream.state === 'gone', hello?.may_steer);
 });
 
 /** Whether the node said that it was about to end before it went. */
@@ -91,6 +92,7 @@ function pill() {
 stream.addEventListener('hello', ({ detail }) => {
   if (hello && hello.page !== detail.page) location.reload();
   hello = detail;
+  lock(false, hello.may_steer);
   world.describe(hello.columns);
   names.take(hello.names);
   plan.take(hello.plan);
@@ -295,6 +297,7 @@ async function changeMethod(changed) {
 }
 
 async function record() {
+  if ($('record').disabled) return;
   if ($('record').getAttribute('aria-pressed') === 'true') {
     try {
       await stream.ask('record', { on: false });

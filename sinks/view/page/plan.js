@@ -1,5 +1,7 @@
 // A floor plan or map under the chart, held by two points whose places are known.
 
+import { locked } from './steering.js';
+
 const $ = (id) => document.getElementById(id);
 const PIECE = 9000; // bytes a message
 
@@ -21,7 +23,7 @@ export class Plan {
     stage.addEventListener('drop', (event) => {
       event.preventDefault();
       const [file] = event.dataTransfer.files;
-      if (file) this.show().then(() => this.#send(file));
+      if (file && !locked()) this.show().then(() => this.#send(file));
     });
   }
 
@@ -93,13 +95,13 @@ export class Plan {
     for (const i of [0, 1]) {
       for (const [k, axis] of [[0, 'c'], [1, 'r'], [2, 'x'], [3, 'y']]) {
         const field = $(`anchor${i}${axis}`);
-        field.disabled = !this.image || (k > 1 && !placed(i));
+        field.disabled = locked() || !this.image || (k > 1 && !placed(i));
         if (document.activeElement === field) continue;
         field.value = Number.isFinite(this.clicked[i]?.[k]) ? Math.round(this.clicked[i][k] * 100) / 100 : '';
       }
     }
-    $('plankeep').disabled = !placed(0) || !placed(1);
-    $('planhint').textContent = !this.image ? 'PNG, JPEG or WebP; or drop a file on the chart.'
+    $('plankeep').disabled = locked() || !placed(0) || !placed(1);
+    $('planhint').textContent = locked() ? $('planfile').title : !this.image ? 'PNG, JPEG or WebP; or drop a file on the chart.'
       : !placed(0) || !placed(1) ? `Click the ${placed(0) ? 'second' : 'first'} of two points whose places on the chart you know.` : 'Where are they on the chart, in metres?';
   }
 

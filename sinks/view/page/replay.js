@@ -1,6 +1,7 @@
 // A recording that is played: play, pause, pace, and a time line that shows where its frames are.
 
 import { themeColours } from './axes.js';
+import { locked } from './steering.js';
 
 const $ = (id) => document.getElementById(id);
 const clock = (s) => `${Math.floor(s / 60)}:${`${Math.floor(s % 60)}`.padStart(2, '0')}`;
@@ -42,6 +43,7 @@ export class Replay {
   }
 
   toggle() {
+    if (locked()) return;
     this.#wish({ paused: this.plays?.ended ? false : !this.plays?.paused });
   }
 

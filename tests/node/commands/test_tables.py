@@ -24,3 +24,8 @@ def test_latex() -> None:
         r"\bottomrule",
         r"\end{tabular}",
     ]
+
+
+def test_no_cell_is_a_formula() -> None:
+    rows = [{"name": text, "n": -5} for text in ("=1+1", "+a", "-a", "@a", "\ta", "a=b")]
+    assert as_csv(rows) == "name,n\n'=1+1,-5\n'+a,-5\n'-a,-5\n'@a,-5\n'\ta,-5\na=b,-5\n"

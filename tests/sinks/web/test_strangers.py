@@ -101,6 +101,15 @@ def test_signing_in_gives_a_cookie_that_is_not_the_token(
     assert (status, "Max-Age=0" in headers["Set-Cookie"]) == (303, True)
 
 
+def test_who_looks_may_come_back_with_the_token_that_steers(guarded: WebServer) -> None:
+    kept = {"Cookie": sign_in(guarded, READ)[1]["Set-Cookie"].split(";")[0]}
+    assert ask(guarded, "POST", "/do", kept)[0] == 403
+    assert ask(guarded, "POST", f"/do?token={TOKEN}", kept)[0] == 200
+    assert ask(guarded, "GET", "/?token=something-that-is-wrong", kept)[0] == 200
+    _, headers, _ = ask(guarded, "GET", f"/?token={TOKEN}", {**kept, **HTML})
+    assert ask(guarded, "POST", "/do", {"Cookie": headers["Set-Cookie"].split(";")[0]})[0] == 200
+
+
 def test_people_on_this_machine_need_the_token_too_once_it_is_set(guarded: WebServer) -> None:
     status, headers, text = ask(guarded, "GET", "/")
     assert (status, text) == (401, "a token is needed")
