@@ -20,6 +20,8 @@ WINDOW = 1024
 """A frame so much older than the newest is still taken as late; beyond, the device has restarted."""
 ELEMENT_TOLERANCE = 0.02
 """Elements so many wavelengths from where they should be are another array's."""
+_CAME_WHOLE = ("duplicate", "array_mismatch", "shape", "all_zero", "non_finite")
+"""Reasons of packets that are no usable frame, but whose number was read."""
 _MODULUS = 1 << 32
 _HALF = 1 << 31
 
@@ -170,6 +172,8 @@ class Intake:
     """Frames of all front-ends on one link, gathered into blocks.
 
     The `seq` of every block but the first counts the lost frames too, so that who reads it sees the gap.
+    Frames that came damaged are among the rejected, not in a gap as well: as many as were damaged since the
+    take before the last.
     """
 
     def __init__(self, array: ArrayGeometry, rejected: Counters) -> None:
@@ -179,7 +183,8 @@ class Intake:
         self._times: list[int] = []
         self._packets: list[CsiPacket] = []
         self._delivered = 0
-        self._most_lost = 0
+        self._missing = 0
+        self._lost = self._damaged = self._damaged_before = 0
 
     def receive(self, name: str, raw: bytes | bytearray, host_ns: int) -> None:
         """Take a packet of the front-end called `name` that arrived at `host_ns`."""
@@ -199,10 +204,8 @@ class Intake:
             return None
         packets, times = self._packets, self._times
         self._packets, self._times = [], []
-        if self._delivered:
-            self._most_lost = max(self._most_lost, sum(s.sequence.lost for s in self.sessions.values()))
-        seq = self._delivered + self._most_lost
-        self._delivered += len(packets)
+        self._look_for_gaps()
+        seq = self._delivered + self._missing if self._delivered else 0
         scale = np.array([p.scale for p in packets], np.float32)
         pairs = np.stack([p.samples for p in packets]).astype(np.float32, copy=False)
         with np.errstate(over="ignore"):
@@ -214,7 +217,20 @@ class Intake:
             time_ns=np.array(times, np.int64),
             csi=pairs.view(np.complex64)[..., 0],
         )
-        return usable(block, self._rejected)
+        good = usable(block, self._rejected)
+        self._delivered += 0 if good is None else len(good)
+        return good
+
+    def _look_for_gaps(self) -> None:
+        """Count frames that are missing, but for those of which something damaged came."""
+        counts = self._rejected.as_dict()
+        damaged = sum(n for reason, n in counts.items() if reason not in _CAME_WHOLE)
+        lost = sum(s.sequence.lost for s in self.sessions.values())
+        newly_lost, newly_damaged = lost - self._lost, damaged - self._damaged
+        came_damaged = min(max(newly_lost, 0), self._damaged_before + newly_damaged)
+        self._missing += max(newly_lost - came_damaged, 0)
+        self._damaged_before = max(newly_damaged - came_damaged, 0)
+        self._lost, self._damaged = max(lost, self._lost), damaged
 
     def details(self) -> dict[str, Any]:
         """By front-end: counts, clock and identity."""

@@ -88,6 +88,22 @@ def test_what_is_lost_shows_as_a_gap_in_the_numbers_of_the_blocks(array):
     assert rejected.as_dict() == {"duplicate": 1}
 
 
+def test_what_came_damaged_is_no_gap_as_well(array):
+    rejected = Counters()
+    intake = Intake(array, rejected)
+    nothing = encode(CsiPacket.quantise(2, 0, 9, np.zeros((4, 3), np.complex64), SampleFormat.INT16))
+    packets = [frame(0), frame(1)[:-1] + b"!", nothing, frame(3), None, frame(5), frame(6)]
+    numbers = []
+    for packet in packets:
+        if packet is not None:
+            intake.receive("a", packet, 1)
+        if (block := intake.take()) is not None:
+            numbers.append(block.seq)
+    assert rejected.as_dict() == {"crc": 1, "all_zero": 1}
+    assert numbers == [0, 1, 3, 4], "one gap: the frame of which nothing came"
+    assert intake.details()["front_ends"]["a"]["lost"] == 2
+
+
 def test_front_ends_are_counted_apart(array):
     intake = Intake(array, Counters())
     for name, seq in (("a", 0), ("b", 70), ("a", 2), ("b", 71)):
