@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Protocol
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.settings import Settings
 from chachart.node.net.security import SecuritySettings
@@ -123,8 +124,9 @@ class Sink(ABC):
         Rows, frames or reports that it took and could not pass on, by reason.
     refused
         What it turned away (peers, requests, messages), by reason.
-    security, others
-        `[security]`, and further arrays whose frames come; whoever runs the sink sets them before `open`.
+    security, others, facts
+        `[security]`, further arrays whose frames come, and what phase and delay of the frames mean; whoever
+        runs the sink sets them before `open`.
     trouble
         Why it cannot do its work at the moment, in one line, or None.
     """
@@ -133,6 +135,7 @@ class Sink(ABC):
     wants_csi: ClassVar[bool] = False
     security: SecuritySettings = SecuritySettings()
     others: tuple[ArrayGeometry, ...] = ()
+    facts: CaptureFacts = CaptureFacts()
 
     def __init__(self, settings: Any, array: ArrayGeometry) -> None:
         self.settings = settings

@@ -45,4 +45,4 @@ class Recorder(FileSink[RecordingWriter]):
 
     def _begin(self) -> tuple[Path, RecordingWriter]:
         path = free_name(self.settings.path)
-        return path, RecordingWriter(path, self.array, others=self.others)
+        return path, RecordingWriter(path, self.array, facts=self.facts, others=self.others)

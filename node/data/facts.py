@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Self, get_args
 
@@ -31,6 +31,17 @@ class CaptureFacts:
     delay: Delay = "absolute"
     power: str = "raw"
     senders: Mapping[int, str] = field(default_factory=dict)
+
+    @classmethod
+    def together(cls, each: Iterable[CaptureFacts]) -> CaptureFacts:
+        """What holds for frames of several captures: the least that any of them says."""
+        facts = list(each)
+        return cls(
+            "random" if any(one.phase == "random" for one in facts) else "steady",
+            "relative" if any(one.delay == "relative" for one in facts) else "absolute",
+            facts[0].power if len({one.power for one in facts}) == 1 else "raw",
+            {ue: name for one in facts for ue, name in one.senders.items()},
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON; `from_dict` reads them back."""

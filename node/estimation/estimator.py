@@ -12,6 +12,7 @@ from chachart.node.data.chart import ChartUpdate, Method
 from chachart.node.data.columns import COLUMNS
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.covariance import Grouping
 from chachart.node.estimation.directions.joint import DirectionLocator
@@ -36,6 +37,9 @@ class ChartEstimator:
     ----------
     array
         The array whose frames come in; its calibration, where it has one, is applied to them.
+    facts
+        What the capture says of phase and delay, as `RecordingReader.facts`: where it says that delays are of
+        packet detection, methods that take them for distances are refused.
     options
         See `Options` for names, defaults and meaning.
 
@@ -67,9 +71,11 @@ class ChartEstimator:
     50.0
     """
 
-    def __init__(self, array: ArrayGeometry, **options: Unpack[Keywords]) -> None:
+    def __init__(
+        self, array: ArrayGeometry, facts: CaptureFacts | None = None, **options: Unpack[Keywords]
+    ) -> None:
         self.array = array
-        self.options = Options.of(**options)
+        self.options = Options.of(**options).obeying(facts or CaptureFacts())
         self.rejected = Counters()
         self._memory = Memory(self.options.max_ues, self._make_locator(self.options))
         self._correct = None if array.calibration is None else array.calibration.corrector(array.offsets_hz)

@@ -8,10 +8,11 @@ from typing import Any
 
 from chachart.config.registry import sink_class
 from chachart.node.data.errors import RequestError, SetupError
-from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.runtime.reader import Reader
 from chachart.node.runtime.sink_thread import SinkThread
 from chachart.sinks.base import Sink
+from chachart.sources.base import Source
 
 log = logging.getLogger(__name__)
 
@@ -26,19 +27,18 @@ class CsiSinks:
     ----------
     reader
         Whose `sinks` get the blocks.
-    array, others
-        The arrays.
-    lossless
-        Whether a slow sink makes the reader wait.
+    source
+        Whose arrays they are, and, where it is lossless, a slow sink makes the reader wait.
+    facts
+        What the frames' phase and delay mean, as `CaptureFacts.as_dict`.
     """
 
-    def __init__(
-        self, reader: Reader, array: ArrayGeometry, others: tuple[ArrayGeometry, ...], lossless: bool
-    ) -> None:
+    def __init__(self, reader: Reader, source: Source, facts: dict[str, Any]) -> None:
         self._reader = reader
-        self._array = array
-        self._others = others
-        self._lossless = lossless
+        self._array = source.array
+        self._others = source.others
+        self._lossless = source.lossless
+        self._facts = CaptureFacts.from_dict(facts)
         self._recording: SinkThread | None = None
         self._closed = False
         self._lock = threading.Lock()
@@ -53,7 +53,7 @@ class CsiSinks:
         """
         values = cls.Settings.model_validate(settings)
         sink = cls(values, self._array)
-        sink.others = self._others
+        sink.others, sink.facts = self._others, self._facts
         thread = SinkThread(sink, values.type, QUEUE_BLOCKS, self._lossless)
         thread.open(None)
         self._reader.sinks = (*self._reader.sinks, thread)

@@ -68,7 +68,7 @@ class Dispatcher:
         partitioner = Partitioner(count, workers["block_frames"], workers["linger_ms"] / 1e3)
         tally = Tally(Path(settings["tally"]))
         self._reader = Reader(source, partitioner, self._queues, tally, settings["time_tolerance_s"])
-        self._csi_sinks = CsiSinks(self._reader, source.array, source.others, source.lossless)
+        self._csi_sinks = CsiSinks(self._reader, source, settings["facts"])
         self._hellos: list[dict[str, Any]] = [{} for _ in range(count)]
         self._terms = Terms((settings["estimator"]["theta"], settings["estimator"]["rho"]))
         self._go = False

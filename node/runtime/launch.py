@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.runtime.child import Child, class_path
 from chachart.node.runtime.gathered import GatheredSources
 from chachart.node.runtime.links import Links
@@ -35,6 +36,8 @@ class Launcher:
             "array": plan.array.as_dict(),
             "others": [other.as_dict() for other in plan.others],
         }
+        facts = CaptureFacts.together(feed.source.carried_facts(feed.settings) for feed in plan.feeds)
+        self._facts = facts.as_dict()
         self.tally = links.directory / "frames-in"
         durable = plan.state.directory is not None
         self._state = {"folder": None if folder is None else str(folder), "durable": durable}
@@ -82,6 +85,7 @@ class Launcher:
             "counted": counted,
             "time_tolerance_s": plan.time_tolerance_s,
             "tally": str(self.tally),
+            "facts": self._facts,
             "csi_sinks": [
                 {"class": class_path(sink), "settings": settings.model_dump(mode="json")}
                 for sink, settings in plan.sinks

@@ -6,6 +6,7 @@ import pytest
 from csi_samples import assert_same_frames, small_array, some_block
 from sink_contract import SinkCase, SinkContract
 
+from chachart.node.data.facts import CaptureFacts
 from chachart.node.files.recording import RecordingReader
 from chachart.sinks.recorder import Recorder, RecorderSettings
 
@@ -36,6 +37,15 @@ def test_files_are_rotated_by_size_and_nothing_is_lost(tmp_path: Path) -> None:
     readers = [RecordingReader(tmp_path / name) for name in names]
     assert all(reader.closed_properly and reader.array == small_array(**WIDE) for reader in readers)
     assert_same_frames([block for reader in readers for block in reader.blocks()], blocks)
+
+
+def test_what_phase_and_delay_mean_is_recorded(tmp_path: Path) -> None:
+    sink = Recorder(RecorderSettings(path=tmp_path / "csi.mcap"), small_array(**WIDE))
+    sink.facts = CaptureFacts("random", "relative", "rssi", {7: "02:00:00:00:00:07"})
+    sink.open(None)
+    sink.on_csi(some_block(1, **WIDE))
+    sink.close()
+    assert RecordingReader(tmp_path / "csi.mcap").facts == sink.facts
 
 
 def test_a_slow_stream_is_flushed(tmp_path: Path) -> None:

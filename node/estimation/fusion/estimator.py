@@ -82,6 +82,10 @@ class FusedEstimator:
         self._receivers = [Receiver(array) for array in self.arrays]
         sites = [receiver.site for receiver in self._receivers]
         self.options = options or Options()
+        if self.fusion.clock == "shared" and self.options.delay == "relative":
+            raise ValueError(
+                'clock must be "own" or "offset": delays of these captures are of packet detection'
+            )
         self.clock = (
             clock_of(self.arrays, self.options.delay) if self.fusion.clock == "auto" else self.fusion.clock
         )

@@ -12,7 +12,7 @@ from csi_samples import small_array, some_block
 
 from chachart.node.commands.node import main
 from chachart.node.data.facts import CaptureFacts
-from chachart.node.files.recording import RecordingWriter
+from chachart.node.files.recording import RecordingReader, RecordingWriter
 
 RELATIVE = {"phase": "random", "delay": "relative"}
 
@@ -39,6 +39,17 @@ def test_methods_are_those_that_the_capture_allows(
     told = json.loads(summary.read_text())
     assert (told["method"]["theta"], told["method"]["rho"]) == methods
     assert told["frames_in"] == told["frames_estimated"] == 20
+
+
+def test_what_is_recorded_while_it_plays_says_the_same_of_phase_and_delay(tmp_path: Path) -> None:
+    facts = CaptureFacts(**RELATIVE, power="rssi", senders={1: "02:00:00:00:00:01"})
+    recording, config = recorded(tmp_path / "a.mcap", facts), tmp_path / "n.toml"
+    config.write_text(
+        f'[source]\ntype = "recording"\npath = "{recording}"\nspeed = 0\nat_end = "end"\n'
+        f'[estimator]\nrho = "isq"\n[[sinks]]\ntype = "recorder"\npath = "{tmp_path}/b.mcap"\n'
+    )
+    subprocess.run([sys.executable, "-m", "chachart.node.commands.node", "--config", config], check=True)
+    assert RecordingReader(tmp_path / "b.mcap").facts == facts
 
 
 def test_a_capture_that_says_nothing_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from chachart.node.data.csi import CsiBlock
+from chachart.node.data.facts import CaptureFacts
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.options import SPECTRAL
 
@@ -244,3 +246,17 @@ def test_many_subcarriers(los: Build, truth: Build) -> None:
     world = los(3, far=True, subcarriers=300)
     chart = world.chart(ChartEstimator(world.array), 60.0, 1)
     assert chart.rho == pytest.approx(truth(world)[1], abs=0.1)
+
+
+@pytest.mark.parametrize("rho", ["bartlett", "mvdr", "minnorm", "music", "joint"])
+def test_delays_of_packet_detection_are_called_no_distance(rho: Any) -> None:
+    array = ArrayGeometry("lab", 8, 6, 2e9, 1e6, 0.075)
+    theta = "joint" if rho == "joint" else "bartlett"
+    facts = CaptureFacts(phase="random", delay="relative")
+    with pytest.raises(ValueError, match='rho must be "none", "isq" or "lr"'):
+        ChartEstimator(array, facts, theta=theta, rho=rho)
+    estimator = ChartEstimator(array, facts, rho="isq")
+    assert estimator.options.phase == "random"
+    with pytest.raises(ValueError, match='rho must be "none", "isq" or "lr"'):
+        estimator.set_method(theta, rho)
+    assert ChartEstimator(array, facts, theta=theta, rho=rho, delay="absolute").options.rho == rho

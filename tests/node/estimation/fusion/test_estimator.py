@@ -16,6 +16,7 @@ from chachart.node.estimation.fusion.estimator import FusedEstimator, clock_of
 from chachart.node.estimation.fusion.events import Gathering, add_in_phase
 from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
 from chachart.node.estimation.fusion.receiver import Receiver
+from chachart.node.estimation.options import Options
 from chachart.node.estimation.snapshots import joined, merged
 
 from .conftest import LIGHT, received
@@ -239,3 +240,9 @@ def test_arrays_need_names_of_their_own(arrays: list[ArrayGeometry]) -> None:
         FusedEstimator([arrays[0], arrays[0]])
     with pytest.raises(ValueError, match="two tones"):
         FusedEstimator([replace(arrays[0], dead_tones=tuple(range(31)))])
+
+
+def test_delays_of_packet_detection_are_no_shared_clock() -> None:
+    array = ArrayGeometry("a", 4, 6, 2e9, 1e6, 0.075)
+    with pytest.raises(ValueError, match='clock must be "own" or "offset"'):
+        FusedEstimator([array], FusionOptions(clock="shared"), options=Options(delay="relative"))
