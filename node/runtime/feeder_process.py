@@ -10,7 +10,8 @@ from typing import Any
 
 from chachart.node.data.counters import Counters
 from chachart.node.runtime.child import Child
-from chachart.node.runtime.deadlines import LEAST_S, STALLED_S
+from chachart.node.runtime.core_time import CoreTime
+from chachart.node.runtime.deadlines import LEAST_S, Patience
 from chachart.node.runtime.feeder import START_OVER
 from chachart.node.runtime.reader import read_tally
 from chachart.node.runtime.supervisor import SupervisedChild
@@ -54,6 +55,8 @@ class FeederProcess:
         What it said of itself last; {} before that.
     ready, started
         Whether source and sinks are open, and whether frames are read.
+    stuck
+        That it hangs, until another one reads; or None.
     """
 
     def __init__(
@@ -61,6 +64,7 @@ class FeederProcess:
     ) -> None:
         self.status: dict[str, Any] = {}
         self.ready = self.started = False
+        self.stuck: str | None = None
         self.supervised = SupervisedChild(
             "the feeder process", self._start, self._bury, MOST_DEATHS, starts_over=START_OVER
         )
@@ -69,7 +73,8 @@ class FeederProcess:
         self._tally = tally
         self._earlier: Counters = Counters()
         self._heard_at = 0.0
-        self._looked_at = 0.0
+        self._patience = Patience()
+        self._core_time = CoreTime()
 
     def resume(self, status: dict[str, Any]) -> None:
         """Before the first start: the last status of another run."""
@@ -87,13 +92,10 @@ class FeederProcess:
 
     def check(self) -> str | None:
         """Look after the process; gives a reason to give up, if there is one."""
-        now = time.monotonic()
-        if now - self._looked_at > STALLED_S:
-            self._heard_at = max(self._heard_at, now)  # we were stopped ourselves
-        self._looked_at = now
         child = self.supervised.child
-        if child is not None and self.started and (reason := self._hangs(now)) is not None:
+        if child is not None and self.started and (reason := self._hangs(child.pid)) is not None:
             log.error("the feeder process (process %d) hangs: %s", child.pid, reason)
+            self.stuck = f"the feeder process hangs: {reason}"
             self.started = False
             child.kill()
         return self.supervised.check()
@@ -104,13 +106,9 @@ class FeederProcess:
         child = self.supervised.child
         return None if child is None or not self.ready else child.pid
 
-    @property
-    def stuck(self) -> str | None:
-        """Why it seems to hang, or None."""
-        silent = time.monotonic() - self._heard_at
-        if not self.started or silent <= LEAST_S:
-            return None
-        return f"the feeder process has not been heard of for {silent:.0f} s"
+    def reads(self) -> None:
+        """It has begun to read."""
+        self.started, self.stuck = True, None
 
     def total(self, count: str) -> int:
         """A count over all workers and all feeders of this run."""
@@ -124,8 +122,10 @@ class FeederProcess:
             fed["dropped"] = {**fed["dropped"], "node_failed": lost}
         self.supervised.kill()
 
-    def _hangs(self, now: float) -> str | None:
-        if (silent := now - self._heard_at) > LEAST_S:
+    def _hangs(self, pid: int) -> str | None:
+        waited_s = self._core_time.waited_s(pid)
+        silent = self._patience.overdue_s(time.monotonic(), self._heard_at, waited_s)
+        if silent > LEAST_S:
             return f"not heard of for {silent:.0f} s"
         status = self.status
         if status.get("ended") or any(w.get("backlog_blocks") for w in status.get("workers", ())):
@@ -138,8 +138,9 @@ class FeederProcess:
         return self._start_process(self.status or None)
 
     def _bury(self, pid: int) -> None:
+        self._core_time.forget(pid)
         self._died()
-        if self.started:
+        if self.status:
             self.status["frames_in"] = max(self.status["frames_in"], read_tally(self._tally))
         self._retire()
         self.ready = self.started = False

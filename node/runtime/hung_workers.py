@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 
+from chachart.node.runtime.core_time import CoreTime
 from chachart.node.runtime.deadlines import Deadlines
 from chachart.node.runtime.shard_queues import ShardQueues
 from chachart.node.runtime.worker_links import WorkerLinks
@@ -25,7 +26,8 @@ class HungWorkers:
         self.reasons: list[str | None] = [None] * len(queues)
         self._links = links
         self._queues = queues
-        self._deadlines = Deadlines()
+        self._deadlines = [Deadlines() for _ in self.reasons]
+        self._core_time = CoreTime()
 
     def look(self, now: float) -> Iterator[tuple[int, int]]:
         """Shard and process id of those that hang at `now`, in monotonic seconds."""
@@ -34,12 +36,15 @@ class HungWorkers:
                 continue
             with self._queues.shard(shard) as queue:
                 oldest, typical_s = queue.oldest_sent_at(), queue.typical_s
-            reason = self._deadlines.missed(now, peer.heard_at, oldest, typical_s)
+            waited_s = self._core_time.waited_s(peer.pid)
+            reason = self._deadlines[shard].missed(now, peer.heard_at, oldest, typical_s, waited_s)
             if reason is not None:
                 self.reasons[shard] = f"worker {shard} hangs: {reason}"
                 log.error("worker %d (process %d) hangs: %s", shard, peer.pid, reason)
+                self._core_time.forget(peer.pid)
                 yield shard, peer.pid
 
     def worker_up(self, shard: int) -> None:
         """Another one is there."""
         self.reasons[shard] = None
+        self._deadlines[shard] = Deadlines()

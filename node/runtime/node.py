@@ -233,7 +233,7 @@ class Node:
             self._sources.is_ready(values["source"])
             self._all_ready()
         elif kind == messages.STARTED:
-            self._feeder.started = True
+            self._feeder.reads()
             self._started_at = self._started_at or time.monotonic()
             self._state = "running" if self._give_up_at is None else self._state
             log.info("frames are read")

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
-from chachart.node.runtime.deadlines import FIRST_S, LEAST_S, Deadlines
+import pytest
+
+from chachart.node.runtime.deadlines import FIRST_S, LEAST_S, Deadlines, Patience
 
 
 def missed(at: float, heard_at: float, oldest: float | None, typical_s: float | None) -> str | None:
@@ -32,3 +34,12 @@ def test_whoever_was_stopped_itself_gives_everybody_the_full_time() -> None:
     for now in (62.0, 63.0, 64.0):
         assert deadlines.missed(now, 0.0, None, 0.01) is None
     assert deadlines.missed(65.5, 0.0, None, 0.01) is not None
+
+
+def test_time_in_which_it_waited_for_a_core_does_not_count() -> None:
+    patience = Patience()
+    assert patience.overdue_s(0.0, 0.0, 40.0) == 0.0
+    assert patience.overdue_s(1.0, 0.0, 40.9) == pytest.approx(0.1)
+    assert patience.overdue_s(2.0, 0.0, 41.0) == pytest.approx(1.0)
+    assert patience.overdue_s(3.0, 2.5, 41.2) == pytest.approx(0.5), "another sign of life is owed since then"
+    assert patience.overdue_s(4.0, 2.5, 41.7) == pytest.approx(1.0)
