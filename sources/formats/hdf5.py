@@ -2,7 +2,7 @@
 
 Variables are datasets by their path, as in `measurement/csi`. Complex numbers are pairs named real and imag
 (or real and imaginary, r and i, re and im). MATLAB writes arrays with the axes turned around; here they have
-MATLAB's order again.
+MATLAB's order again. A file of cells or structs with CSI is a Wi-Fi capture, as in version 5.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.node.data.errors import SetupError
+from chachart.sources.formats import matlab73
 from chachart.sources.formats.base import Capture, Variable
+from chachart.sources.formats.wifi.capture import WifiCapture
 
 if TYPE_CHECKING:
     import h5py
@@ -52,6 +54,8 @@ def open_capture(path: Path) -> Capture:
         matlab = file.read(len(_MATLAB)) == _MATLAB
     try:
         with h5py.File(path, "r") as opened:
+            if matlab and matlab73.holds_frames(opened):
+                return WifiCapture(path, matlab73.CELLS, matlab73.read_structs)
             variables = {
                 name: _describe(dataset, matlab, path.stat().st_size) for name, dataset in _datasets(opened)
             }
@@ -74,7 +78,7 @@ class Hdf5Capture(Capture):
     def _read(self, name: str) -> NDArray[Any]:
         try:
             with _h5py().File(self.path, "r") as opened:
-                array = _complex(np.asarray(opened[name][()]))
+                array = as_complex(np.asarray(opened[name][()]))
         except _DAMAGE as error:
             raise self.damaged(f'variable "{name}": {error}') from None
         return array.T if self._matlab else array
@@ -101,7 +105,7 @@ def _datasets(group: h5py.Group, prefix: str = "") -> Iterator[tuple[str, h5py.D
             yield from _datasets(item, f"{prefix}{name}/")
 
 
-def _check_storage(dataset: h5py.Dataset) -> None:
+def check_storage(dataset: h5py.Dataset) -> None:
     """Nothing outside the file is read, and no filter that a plug-in would have to bring is run."""
     if dataset.external or dataset.is_virtual:
         raise SetupError(f"{dataset.file.filename}: {dataset.name} keeps its data in other files")
@@ -113,7 +117,7 @@ def _check_storage(dataset: h5py.Dataset) -> None:
 
 
 def _describe(dataset: h5py.Dataset, matlab: bool, size: int) -> Variable:
-    _check_storage(dataset)
+    check_storage(dataset)
     if dataset.nbytes > _DENSEST * size:
         raise ValueError(f"dataset {dataset.name} claims {dataset.nbytes} bytes in a file of {size}")
     shape = tuple(dataset.shape or ())
@@ -125,7 +129,8 @@ def _is_complex(dtype: np.dtype[Any]) -> bool:
     return dtype.names is not None and set(dtype.names) in _PAIRS
 
 
-def _complex(array: NDArray[Any]) -> NDArray[Any]:
+def as_complex(array: NDArray[Any]) -> NDArray[Any]:
+    """An array of pairs as complex numbers; any other as it is."""
     if not _is_complex(array.dtype):
         return array
     real, imaginary = sorted(array.dtype.names or (), reverse=True)

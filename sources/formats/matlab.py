@@ -43,7 +43,8 @@ def open_capture(path: Path) -> Capture:
     try:
         data = path.read_bytes()
         arrays = {array.name: array for array in _arrays(data)}
-        if not arrays and frames_in(data):
+        # Labels and the like may stand beside the cells; who has complex arrays means those.
+        if not any(len(array.parts) > 1 for array in arrays.values()) and frames_in(data):
             return WifiCapture(path, CELLS, read_cells)
     except (ValueError, OSError) as error:
         raise SetupError(f"{path} is damaged or cut short: {error}") from None

@@ -195,6 +195,26 @@ def _hdf5(frames: int, rng: np.random.Generator) -> bytes:
     return file.getvalue()
 
 
+def _matlab73(frames: int, rng: np.random.Generator) -> bytes:
+    import h5py
+
+    file = io.BytesIO()
+    with h5py.File(file, "w", userblock_size=512) as opened:
+        store = opened.create_group("#refs#")
+        cells = np.empty((1, frames), h5py.ref_dtype)
+        for n in range(frames):
+            frame = store.create_group(f"f{n}")
+            pairs = np.empty((30, 3, 1), [("real", "f8"), ("imag", "f8")])
+            pairs["real"], pairs["imag"] = rng.integers(-90, 90, (2, 30, 3, 1))
+            frame["csi"], frame["timestamp_low"] = pairs, np.full((1, 1), float(n))
+            cells[0, n] = frame.ref
+        opened.create_dataset("csi_trace", data=cells, dtype=h5py.ref_dtype)
+    written = bytearray(file.getvalue())
+    title = b"MATLAB 7.3 MAT-file, Platform: GLNXA64"
+    written[: len(title)] = title
+    return bytes(written)
+
+
 def _tfrecord(frames: int, rng: np.random.Generator) -> bytes:
     from chachart.sources.formats.tfrecord import masked_crc
 
@@ -225,6 +245,7 @@ _MAKERS = {
     "matlab": _matlab,
     "matlab cells": _matlab_cells,
     "hdf5": _hdf5,
+    "matlab 7.3 cells": _matlab73,
     "tfrecord": _tfrecord,
 }
 NAMES = tuple(_MAKERS)

@@ -8,7 +8,7 @@ of the connectors.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -27,19 +27,26 @@ _HT40 = 0x800
 _MOST = 1e6
 """CSI of 8 bits is far smaller."""
 _MOST_FIELDS = 64
+_DEEPEST = 8
+"""Cells and structs within each other."""
 
 Frame = dict[str, NDArray[Any]]
 
 
 def frames_in(data: bytes) -> bool:
-    """Whether a MATLAB file holds cells or structs with a field `csi`.
+    """Whether a MATLAB file holds frames, in cells or structs.
 
     Raises
     ------
     ValueError
         Where a length does not fit.
     """
-    return any("csi" in frame for frame in _frames(data))
+    return any(is_frame(frame) for frame in _frames(data))
+
+
+def is_frame(frame: Frame) -> bool:
+    """Whether a struct is a frame, as read_bf_file returns it."""
+    return "csi" in frame and _parsed(frame) is not None
 
 
 def read_cells(data: NDArray[np.uint8]) -> Log:
@@ -50,10 +57,15 @@ def read_cells(data: NDArray[np.uint8]) -> Log:
     ValueError
         Where a length does not fit.
     """
+    return log_of(_frames(data.tobytes()))
+
+
+def log_of(frames: Iterable[Frame]) -> Log:
+    """The frames of structs; those without a field `csi` are something else."""
     found: list[tuple[Kind, NDArray[Any], Frame]] = []
     number: list[int] = []
     count = broken = 0
-    for frame in _frames(data.tobytes()):
+    for frame in frames:
         if "csi" not in frame:
             continue
         parsed = _parsed(frame)
@@ -121,24 +133,36 @@ def _number(frame: Frame, name: str) -> float:
 
 
 def _frames(data: bytes) -> Iterator[Frame]:
-    """The structs of a file, those in cells included."""
+    """The structs of a file, those within cells and other structs included."""
     order = order_of(data)
     for element in matrices(data):
-        parts = list(elements(element, order))
-        if not parts or len(parts[0][1]) != 8:
-            raise ValueError("an array without flags")
-        kind = int(np.frombuffer(parts[0][1], f"{order}u4")[0]) & 0xFF
-        if kind == _STRUCT:
-            yield from _structs(parts, order)
-        elif kind == _CELL:
-            for _, cell in parts[3:]:
-                inner = list(elements(cell, order))
-                is_struct = len(inner) > 5 and len(inner[0][1]) == 8
-                if is_struct and int(np.frombuffer(inner[0][1], f"{order}u4")[0]) & 0xFF == _STRUCT:
-                    yield from _structs(inner, order)
+        yield from _structs_in(element, order, 0)
 
 
-def _structs(parts: list[tuple[int, memoryview]], order: str) -> Iterator[Frame]:
+def _structs_in(element: memoryview, order: str, depth: int) -> Iterator[Frame]:
+    """The structs in a matrix element.
+
+    Raises
+    ------
+    ValueError
+        Where a length does not fit.
+    """
+    parts = list(elements(element, order))
+    if not parts:
+        return  # an empty cell
+    if len(parts[0][1]) != 8:
+        raise ValueError("an array without flags")
+    kind = int(np.frombuffer(parts[0][1], f"{order}u4")[0]) & 0xFF
+    if depth > _DEEPEST:
+        return
+    if kind == _STRUCT:
+        yield from _structs(parts, order, depth)
+    elif kind == _CELL:
+        for _, cell in parts[3:]:
+            yield from _structs_in(cell, order, depth + 1)
+
+
+def _structs(parts: list[tuple[int, memoryview]], order: str, depth: int) -> Iterator[Frame]:
     """The elements of a struct array: flags, dimensions, name, length of names, names, then all fields."""
     if len(parts) < 5 or len(parts[3][1]) != 4:
         raise ValueError("a struct without names of fields")
@@ -149,6 +173,10 @@ def _structs(parts: list[tuple[int, memoryview]], order: str) -> Iterator[Frame]
     names = [text[at : at + width].split(b"\0")[0].decode("latin-1") for at in range(0, len(text), width)]
     fields = parts[5:]
     for first in range(0, len(fields) - len(names) + 1, len(names)):
-        some = zip(names, fields[first : first + len(names)], strict=True)
-        values = {name: numbers(data, order) for name, (_, data) in some}
+        some = fields[first : first + len(names)]
+        values = {name: numbers(data, order) for name, (_, data) in zip(names, some, strict=True)}
+        if values.get("csi") is None:
+            for name, (_, data) in zip(names, some, strict=True):
+                if values[name] is None:
+                    yield from _structs_in(data, order, depth + 1)
         yield {name: value for name, value in values.items() if value is not None}
