@@ -27,6 +27,7 @@ BENCHMARKS = {
     "snapshots": "how long a snapshot holds up estimates, and what snapshots cost",
     "soak": "hours of running: how memory, open files and threads grow",
     "kills": "kill -9 of any process at any moment: what the chart is afterwards",
+    "tracks": "UEs that move: the live track beside averages over fixed numbers of frames",
     "truth": "errors beside the deviations told, with echoes and without a direct path, over several draws",
     "view": "what the live view costs a node, without and with a viewer",
 }

@@ -58,12 +58,12 @@ def run(arguments: argparse.Namespace) -> int:
     host, port = arguments.listen or ("127.0.0.1", PORTS[arguments.device])
     devices: list[SimulatedDevice] = []
     asked = threading.Event()
-    for name in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(name, lambda *_: asked.set())
     try:
         for feed in settings.feeds:
             devices.append(_device(feed, arguments.device, (host, port)))
             port += len(feed.arrays) if port else 0
+        for name in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(name, lambda *_: asked.set())
         for number, device in enumerate(devices):
             device.start()
             which = f" of source.{number}" if len(devices) > 1 else ""

@@ -103,7 +103,7 @@ class Plan:
         SetupError
             If a source or sink is unknown, or the array is not clear.
         """
-        first, *further = [Feed.of(feed) for feed in settings.feeds]
+        first, *further = _feeds(settings)
         estimator = settings.estimator
         for feed in (first, *further):
             estimator = estimator.obeying(feed.source.carried_facts(feed.settings))
@@ -252,7 +252,19 @@ def _described(configured: ArraySettings) -> ArrayGeometry:
     try:
         return replace(configured.geometry(), calibration=configured.correction())
     except ValueError as error:
-        raise SetupError(f"[array] {configured.name}: {error}") from None
+        raise SetupError(f"[array]: {error}") from None
+
+
+def _feeds(settings: NodeSettings) -> Iterator[Feed]:
+    """All of them; of several, a mistake says whose it is."""
+    for feed in settings.feeds:
+        try:
+            yield Feed.of(feed)
+        except SetupError as error:
+            if len(settings.feeds) == 1:
+                raise
+            whose = ", ".join(array.name for array in feed.arrays) or feed.source.type
+            raise SetupError(f"source of {whose}: {error}") from None
 
 
 def check(settings: NodeSettings) -> list[str]:

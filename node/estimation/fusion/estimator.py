@@ -23,7 +23,8 @@ from chachart.node.estimation.fusion.fuser import Clock, Fuser
 from chachart.node.estimation.fusion.looks import Looks
 from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
 from chachart.node.estimation.fusion.receiver import Receiver
-from chachart.node.estimation.fusion.sighted import sightings
+from chachart.node.estimation.fusion.sighted import sightings, single_sightings
+from chachart.node.estimation.fusion.single import SingleArray
 from chachart.node.estimation.fusion.watch import ArrayWatch
 from chachart.node.estimation.locator import Locator
 from chachart.node.estimation.memory import Copy, Memory
@@ -89,9 +90,17 @@ class FusedEstimator:
         self.clock = (
             clock_of(self.arrays, self.options.delay) if self.fusion.clock == "auto" else self.fusion.clock
         )
-        self._fuser = Fuser(sites, self._area(), self.clock)
+        self._ground = self._area()
+        alone = self.arrays[0]
+        self._fuser: Fuser | SingleArray = (
+            SingleArray(alone, self._ground.height_m)
+            if len(self.arrays) == 1
+            else Fuser(sites, self._ground, self.clock)
+        )
         shapes = [receiver.shape for receiver in self._receivers]
-        self._gathering = Gathering(shapes, self.fusion.window_ms)
+        if len(self.arrays) == 1:
+            shapes = [(alone.antennas, alone.subcarriers)]
+        self._gathering = Gathering(shapes, self.fusion.window_ms, self._frames_a_position())
         self._memory, self._tracker = self._remembering()
         self._looks, self._watch = Looks(sites, self.arrays), ArrayWatch(sites, self.clock)
         self.rejected, self.heard = Counters(), Counters()
@@ -138,7 +147,7 @@ class FusedEstimator:
         if good is None:
             return []
         self.heard.add(block.array, len(good))
-        csi = receiver.prepared(good.csi)
+        csi = good.csi if len(self.arrays) == 1 else receiver.prepared(good.csi)
         self._gathering.add(number, replace(good, csi=csi))
         return list(self._every())
 
@@ -206,6 +215,11 @@ class FusedEstimator:
         tracker = None if motion == "off" else Tracker(motion, self.tracking.lag)
         return Memory(self.options.max_ues, cast(Locator, tracker or SlotState())), tracker
 
+    def _frames_a_position(self) -> int:
+        """Frames of one array that an estimate takes; unless set, averaging is the tracker's business."""
+        alone = len(self.arrays) == 1 and "memory_frames" in self.options.model_fields_set
+        return max(1, round(self.options.memory_frames)) if alone else 1
+
     def _area(self) -> Area:
         told = self.fusion
         first = self.arrays[0]
@@ -257,11 +271,15 @@ class FusedEstimator:
         slots = self._memory.assign(events.ue, events.time_ns).slots
         near = None if self._tracker is None else self._near(slots, events.time_ns)
         fused = self._fuser.locate(events.frames, near)
-        self._looks.see(events, fused)
-        self._watch.see(events, fused)
+        shown = events
+        if len(self.arrays) == 1:
+            shown = replace(events, frames=[self._receivers[0].prepared(events.frames[0])])
+        self._looks.see(shown, fused)
+        self._watch.see(shown, fused)
         if self._tracker is None:
             return self._published(events, fused, None)
-        tracked = self._tracker.update(slots, events.time_ns, sightings(fused))
+        seen = sightings(fused) if len(self.arrays) > 1 else single_sightings(fused)
+        tracked = self._tracker.update(slots, events.time_ns, seen)
         if self.logbook is not None:
             models = self._tracker.models(slots)
             self.logbook.add(events.ue, tracked.time_ns, tracked.state, tracked.covariance, models)
@@ -271,7 +289,7 @@ class FusedEstimator:
         """Where the tracks say that UEs are, as points (U, 1, 3) to search from."""
         assert self._tracker is not None
         place = self._tracker.expected(slots, time_ns)
-        return np.column_stack([place, self._fuser.area.height(place)])[:, None]
+        return np.column_stack([place, self._ground.height(place)])[:, None]
 
     def _published(self, events: Events, fused: Fused, tracked: Tracked | None) -> ChartUpdate:
         position, covariance = fused.position, fused.covariance

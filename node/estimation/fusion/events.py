@@ -67,10 +67,13 @@ class Gathering:
     window_ms
         Frames of a UE that follow each other within this time are of one transmission, where they do not say
         by a number (`CsiBlock.packet`) of which they are.
+    frames
+        So many frames of a UE at each array, within `LATEST_MS` from one to the next, are taken together.
     """
 
-    def __init__(self, shapes: Sequence[tuple[int, int]], window_ms: float) -> None:
+    def __init__(self, shapes: Sequence[tuple[int, int]], window_ms: float, frames: int = 1) -> None:
         self._shapes = list(shapes)
+        self._frames = frames
         self._window_ns = round(window_ms * 1e6)
         self._patience_ns = round(max(LATEST_MS, 2 * window_ms) * 1e6)
         self._held: list[tuple[int, CsiBlock]] = []
@@ -134,6 +137,8 @@ class Gathering:
         event, last = self._events(ue, packet, time_ns)
         heard = np.zeros((len(last), len(self._shapes)), np.bool_)
         heard[event, array] = True
+        if self._frames > 1:
+            heard &= np.bincount(event, minlength=len(last))[:, None] >= self._frames * len(self._shapes)
         heard |= self._heard_ns > last[:, None] + self._late_ns
         heard |= self._heard_ns < self._newest_ns - SILENT_MS * 1e6
         done = heard.all(axis=1) | (last < self._newest_ns - self._patience_ns) | everything
@@ -149,7 +154,8 @@ class Gathering:
         """Of which transmission each frame is, in the order of UEs and times, and when it was heard last."""
         order = np.lexsort((time_ns, packet, ue))
         who, which, when = ue[order], packet[order], time_ns[order]
-        apart = np.where(which[1:] == 0, self._window_ns, self._patience_ns)
+        alone = self._window_ns if self._frames == 1 else self._patience_ns
+        apart = np.where(which[1:] == 0, alone, self._patience_ns)
         new = (np.diff(when) > apart) | (who[1:] != who[:-1]) | (which[1:] != which[:-1])
         starts = np.concatenate([[0], np.flatnonzero(new) + 1])
         last = np.append(when[starts[1:] - 1], when[-1])

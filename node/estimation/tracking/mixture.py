@@ -39,12 +39,15 @@ class Sightings:
         Log probabilities (U, M), -inf for none.
     none
         Probability (U,) that it is none of them.
+    density
+        What a sighting of something else is worth, by m^2 (U,); None: what the tracker takes it for.
     """
 
     points: Floats
     covariances: Floats
     log_weights: Floats
     none: Floats
+    density: Floats | None = None
 
     @classmethod
     def single(cls, points: Floats, covariances: Floats, none: float = 0.05) -> Sightings:
@@ -54,8 +57,9 @@ class Sightings:
 
     def take(self, which: NDArray[np.bool_]) -> Sightings:
         """Those of some UEs."""
+        density = None if self.density is None else self.density[which]
         return Sightings(
-            self.points[which], self.covariances[which], self.log_weights[which], self.none[which]
+            self.points[which], self.covariances[which], self.log_weights[which], self.none[which], density
         )
 
     def brought_forward(self, now: Beliefs, late: Floats) -> Sightings:
@@ -65,7 +69,7 @@ class Sightings:
         state, covariance = now.merged()
         moved = self.points + (late[:, None] * state[:, 2:])[:, None]
         wider = self.covariances + (late[:, None, None] ** 2 * covariance[:, 2:, 2:])[:, None]
-        return Sightings(moved, wider, self.log_weights, self.none)
+        return Sightings(moved, wider, self.log_weights, self.none, self.density)
 
 
 def merged(mean: Floats, covariance: Floats, weight: Floats) -> tuple[Floats, Floats]:
@@ -100,7 +104,7 @@ def predicted(beliefs: Beliefs, motions: Motions, dt: Floats) -> Beliefs:
 def updated(prior: Beliefs, seen: Sightings, density: float) -> tuple[Beliefs, Floats, Floats]:
     """Beliefs after a sighting, its log evidence (U,), and the probability (U,) that it was none of them.
 
-    `density` is what a sighting of something else is worth, by m^2.
+    `density` is what a sighting of something else is worth, by m^2, where it does not say so itself.
     """
     residual = seen.points[:, None] - prior.mean[:, :, None, :2]  # U J M 2
     s = prior.covariance[:, :, None, :2, :2] + seen.covariances[:, None]
@@ -113,7 +117,7 @@ def updated(prior: Beliefs, seen: Sightings, density: float) -> tuple[Beliefs, F
     distance = np.einsum("ujmd,ujmd->ujm", residual, whitened)
     log_hit = -0.5 * (distance + np.log(determinant)) - np.log(2 * np.pi)
     log_hit += (seen.log_weights + np.log1p(-seen.none)[:, None])[:, None]
-    log_none = np.log(seen.none * density)[:, None, None]
+    log_none = np.log(seen.none * (density if seen.density is None else seen.density))[:, None, None]
     every = np.concatenate([log_hit, np.broadcast_to(log_none, (*log_hit.shape[:2], 1))], axis=2)
     top = every.max(axis=(1, 2), keepdims=True)
     weight = np.exp(every - top)
