@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from chachart.config.settings import ArraySettings
+from chachart.node.commands.benchmarks import live_devices
 from chachart.node.commands.benchmarks.report import Table
 from chachart.node.commands.benchmarks.timing import Timing, time_in_turn
 from chachart.node.commands.shared.cli import progress
@@ -53,6 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `chachart bench frontends`."""
     parser.add_argument("--frames", type=int, default=10_000, help="over serial (default: %(default)s)")
     parser.add_argument("--can-frames", type=int, default=2_000, help="over CAN (default: %(default)s)")
+    parser.add_argument(
+        "--device-frames", type=int, default=10_000, help="of each live device (default: %(default)s)"
+    )
     parser.add_argument("--antennas", type=int, default=32, help="default: %(default)s")
     parser.add_argument("--subcarriers", type=int, default=32, help="default: %(default)s")
     parser.add_argument("--can-antennas", type=int, default=8, help="default: %(default)s")
@@ -102,7 +106,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
             except (SetupError, OSError) as error:
                 links.notes.append(f"{name}: not measured: {error}")
             done(1)
-    return [alone, links, faults]
+    return [alone, links, faults, *live_devices.tables(arguments.device_frames)]
 
 
 def decoders(array: ArrayGeometry) -> Table:

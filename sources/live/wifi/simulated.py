@@ -41,14 +41,15 @@ class ToolFaults(Settings):
     drop: float = Field(0.0, ge=0, le=1)
     """Fraction of the frames that are never sent, as a whole."""
     corrupt: float = Field(0.0, ge=0, le=1)
-    """Fraction of the frames that are sent cut short; none on streams, where others would be lost too."""
+    """Fraction of the frames that are sent cut short; on streams, where others would be lost too, with a
+    header that makes no sense."""
     fault_seed: int = Field(0, ge=0)
     """Same seed, same faults."""
 
 
 @dataclass(slots=True)
 class ToolReport:
-    """Frames that were sent whole, never, and cut short."""
+    """Frames that were sent whole, never, and damaged."""
 
     sent: int = 0
     dropped: int = 0
@@ -262,20 +263,24 @@ class SimulatedTool(SimulatedDevice):
             return
         if self._tool == "picoscenes":
             pieces = PicoScenesForwarder.encode(pieces[0], packet.number % 65536, LARGEST_PART)
-        if fault < self._faults.drop + self._faults.corrupt and self._tool not in (
-            "intel5300",
-            "nexmon_pcap",
-        ):
+        if fault < self._faults.drop + self._faults.corrupt:
             self._report.corrupted += 1
-            pieces = [_cut(pieces[0]), *pieces[1:]]
+            pieces = [_spoilt(self._tool, pieces[0], len(csi)), *pieces[1:]]
         else:
             self._report.sent += 1
         for piece in pieces:
             self._send(piece)
 
 
-def _cut(piece: bytes) -> bytes:
-    """A piece without some of its last bytes; a line keeps its end."""
+def _spoilt(tool: ToolName, piece: bytes, antennas: int) -> bytes:
+    """A piece without some of its last bytes; a line keeps its end, a record of a stream has a wrong head."""
+    found = bytearray(piece)
+    if tool == "intel5300":  # the number of antennas, 12 bytes before the CSI
+        found[-((30 * (16 * antennas + 3) + 7) // 8) - 12] = 0
+        return bytes(found)
+    if tool == "nexmon_pcap":  # the number that every payload begins with, behind the file's and four heads
+        found[58 + (24 if piece[:4] == b"\xd4\xc3\xb2\xa1" else 0)] = 0
+        return bytes(found)
     return piece[: len(piece) - 37] + (b"\r\n" if piece.endswith(b"\n") else b"")
 
 

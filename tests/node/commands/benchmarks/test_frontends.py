@@ -3,7 +3,8 @@ import json
 import pytest
 
 from chachart.config.settings import ArraySettings
-from chachart.node.commands.benchmarks import frontends
+from chachart.node.commands.benchmarks import frontends, live_devices
+from chachart.sources.live.wifi.encoding import ENCODERS
 
 ARRAY = ArraySettings(antennas=4, subcarriers=4).geometry()
 
@@ -23,3 +24,19 @@ def test_a_link_is_timed_and_accounted_for(link):
     hit = link(ARRAY, 300, ("--corrupt", "0.05", "--drop", "0.05"))
     assert hit.arrived == hit.told["sent"]
     assert hit.lost == hit.told["corrupted"] + hit.told["dropped"] == 300 - hit.arrived > 0
+
+
+@pytest.mark.parametrize("name", live_devices.devices())
+def test_a_live_device_accounts_for_every_frame(name: str) -> None:
+    device = live_devices.devices()[name]
+    passed = live_devices.passage(device, 24, {})
+    assert passed.sent > 0
+    assert passed.damaged == passed.dropped == 0
+    transmitters = 2 if name == "krakensdr" else 1
+    early = passed.rejected.get("calibrating", 0) + passed.rejected.get("incomplete", 0)
+    assert passed.sent * transmitters - early <= passed.arrived <= passed.sent * transmitters
+
+
+def test_decoders_of_live_tools_are_measured() -> None:
+    table = live_devices.wifi_decoders()
+    assert [row[0] for row in table.rows] == list(ENCODERS)

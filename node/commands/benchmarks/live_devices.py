@@ -1,0 +1,173 @@
+"""Live devices: decoders alone, and each simulated device over its socket or pty, whole and damaged."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from chachart.config.registry import source_class
+from chachart.node.commands.benchmarks.report import Table
+from chachart.node.commands.benchmarks.timing import time_in_turn
+from chachart.node.data.counters import Counters
+from chachart.node.data.geometry import ArrayGeometry
+from chachart.sources.base import EndOfSource
+from chachart.sources.formats.wifi import tones
+from chachart.sources.live.device import DeviceSource
+from chachart.sources.live.wifi.cutting import PicoScenesForwarder
+from chachart.sources.live.wifi.encoding import ENCODERS, FULL_SCALE, SUBCARRIERS, Packet
+from chachart.sources.live.wifi.frames import Selection
+from chachart.sources.live.wifi.simulated import LARGEST_PART
+from chachart.sources.live.wifi.tools import decoder
+
+PACKETS = 256
+RATE_HZ = 2000.0
+"""UDP has no brake: faster than a source reads, the system drops datagrams."""
+GIVE_UP_S = 60.0
+KRAKEN_SHARE = 10
+"""A frame of KrakenSDR is 4096 samples of five channels: a tenth as many are enough."""
+FAULTS = {"krakensdr": {"unsynchronous": 0.01, "overdrive": 0.01, "calibrating": 0.01}}
+_NOT_GOOD = ("unsynchronous", "overdriven", "calibrating")
+_HT = tones.carrying("ht", 20)
+_NEXMON = tuple(n for n in _HT if n not in (28, 29, 30))
+_WIFI: dict[str, tuple[int, tuple[int, ...]]] = {
+    "nexmon": (4, _NEXMON),
+    "nexmon_pcap": (2, _NEXMON),
+    "picoscenes": (2, tuple(range(-32, 32))),
+    "feitcsi": (2, _HT),
+    "intel5300": (3, tones.intel5300(20).numbers or ()),
+    "esp32": (1, tones.carrying("legacy", 20)),
+    "openwifi": (1, _HT),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """A device: its source's type, its array, and what it is told apart from faults and frames."""
+
+    type: str
+    array: ArrayGeometry
+    settings: dict[str, Any]
+
+
+def devices() -> dict[str, Device]:
+    """All live devices by name."""
+    found = {
+        f"wifi {tool}": Device(
+            "wifi",
+            ArrayGeometry("wifi", antennas, len(numbers), 5.18e9, 312_500.0, 0.029, tones=numbers),
+            {"tool": tool},
+        )
+        for tool, (antennas, numbers) in _WIFI.items()
+    }
+    board = ArrayGeometry("board", 8, 25, 2.472e9, 625_000.0, 0.06)
+    found["espargos"] = Device("espargos", board, {"calibrate_s": 0.2})
+    found["oai"] = Device("oai", ArrayGeometry("gnb", 4, 16, 3.6e9, 480_000.0, 0.0416), {})
+    found["krakensdr"] = Device("krakensdr", ArrayGeometry("kraken", 5, 16, 433e6, 12_500.0, 0.3), {})
+    return found
+
+
+def tables(frames: int) -> list[Table]:
+    """Decoders alone, whole links, and links with damage, of every live device."""
+    whole = Table(
+        "live devices, whole: simulated device to blocks of CSI, both in this process",
+        ["device", "frame", "sent", "arrived", "frames/s"],
+    )
+    faults = Table(
+        "the same with 1 % damaged and 1 % never sent, or as its receiver says not good",
+        ["device", "sent whole", "arrived", "damaged", "not sent", "left out by reason"],
+    )
+    for name, device in devices().items():
+        shape = f"{device.array.antennas} x {device.array.subcarriers}"
+        passed = passage(device, frames, {})
+        whole.add(name, shape, passed.sent, passed.arrived, passed.arrived / passed.seconds)
+        hit = passage(device, frames, FAULTS.get(device.type, {"drop": 0.01, "corrupt": 0.01}))
+        reasons = ", ".join(f"{count} {reason}" for reason, count in sorted(hit.rejected.items()))
+        faults.add(name, hit.sent, hit.arrived, hit.damaged, hit.dropped, reasons)
+    return [wifi_decoders(), whole, faults]
+
+
+@dataclass(frozen=True, slots=True)
+class Passage:
+    """What became of frames, as the device and its source tell; KrakenSDR's arrive once a transmitter."""
+
+    sent: int
+    damaged: int
+    dropped: int
+    arrived: int
+    rejected: dict[str, int]
+    seconds: float
+
+
+def passage(device: Device, frames: int, faults: dict[str, float]) -> Passage:
+    """Play so many frames through a simulated device and its source, and read them all.
+
+    Raises
+    ------
+    OSError
+        If nothing came for a long time.
+    """
+    loopback: dict[str, Any] = {**faults}
+    if device.type == "krakensdr":
+        loopback |= {"frames": max(1, frames // KRAKEN_SHARE), "samples": 4096, "rate_hz": 1_000_000}
+    else:
+        loopback["scenario"] = {"ues": 8, "frame_rate_hz": RATE_HZ, "snr_db": 200.0, "frames": frames}
+    cls = source_class(device.type)
+    settings = cls.Settings.model_validate({"type": device.type, **device.settings, "loopback": loopback})
+    arrived, first, last = 0, 0.0, time.perf_counter()
+    with cls(settings, device.array) as source:
+        assert isinstance(source, DeviceSource)
+        while True:
+            try:
+                block = source.recv(0.1)
+            except EndOfSource:
+                break
+            now = time.perf_counter()
+            if block is not None:
+                first, last, arrived = first or now, now, arrived + len(block)
+            elif now - last > GIVE_UP_S:
+                raise OSError(f"{device.type}: after {arrived} frames nothing came for {GIVE_UP_S:g} s")
+        assert source.simulated is not None
+        told, rejected = asdict(source.simulated.report), source.rejected.as_dict()
+    damaged = told.get("corrupted", 0) + sum(told.get(name, 0) for name in _NOT_GOOD)
+    sent = told.get("sent", told.get("good", 0))
+    return Passage(sent, damaged, told.get("dropped", 0), arrived, rejected, max(last - first, 1e-9))
+
+
+def wifi_decoders() -> Table:
+    """Time from a tool's records to frames, one thread, no socket."""
+    table = Table(
+        f"decoders of live Wi-Fi tools alone, {PACKETS} packets", ["tool", "frame", "us a frame", "frames/s"]
+    )
+    calls = {tool: _decoding(tool) for tool in _WIFI}
+    for tool, timing in time_in_turn(calls).items():
+        each = timing.scaled(1 / PACKETS)
+        antennas, numbers = _WIFI[tool]
+        table.add(tool, f"{antennas} x {len(numbers)}", each.scaled(1e6), 1 / each.median)
+    return table
+
+
+def _decoding(tool: str) -> Callable[[], None]:
+    """Decode packets of a tool; what does not come out is a mistake."""
+    array = devices()[f"wifi {tool}"].array
+    rng = np.random.default_rng(1)
+    scale, count = FULL_SCALE.get(tool, 1000.0), SUBCARRIERS.get(tool, 64)
+    pieces: list[bytes] = []
+    for n in range(PACKETS):
+        csi = scale * np.exp(2j * np.pi * rng.random((array.antennas, count)))
+        made = ENCODERS[tool](Packet(n, 1 + n % 8, 1000 * n, -50, csi))
+        pieces += made if tool != "picoscenes" else PicoScenesForwarder.encode(made[0], n, LARGEST_PART)
+
+    def decode() -> None:
+        rejected = Counters()
+        decoding = decoder(tool, "integers", 8, rejected)  # type: ignore[arg-type]
+        selection = Selection(array, "auto", rejected)
+        logs = [log for at in range(0, len(pieces), 16) for log in decoding.feed(pieces[at : at + 16])]
+        found = sum(len(selection.frames(log, 1)) for log in [*logs, *decoding.feed([])])
+        if found != PACKETS:
+            raise AssertionError(f"{found} of {PACKETS} packets of {tool} came out: {rejected.as_dict()}")
+
+    return decode
