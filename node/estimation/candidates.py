@@ -70,19 +70,24 @@ class Candidates:
         off_angle = _turn(self.angle - self.angle[chosen][ue], grid[0]) * (span[0] / grid[0])
         off_delay = _turn(self.delay - self.delay[chosen][ue], grid[1]) * (span[1] / grid[1])
         near = np.abs(off_delay) <= NEAR
-        columns = [
-            log(np.add.reduceat(others, first)),
-            log(self.share[chosen]),
-            log(self.share[chosen] / np.maximum.reduceat(self.share, first)),
-            log(self.excess[chosen]),
-            log(self.beside[chosen]),
-            log(np.add.reduceat(belief * off_delay**2, first)),
-            log(np.add.reduceat(belief * off_angle**2, first)),
-            log(np.add.reduceat(self.share * (near & (off_delay < 0)), first)),
-            log(np.add.reduceat(self.share * (near & (off_delay > 0)), first)),
-            log(np.add.reduceat(self.share * off_angle**2, first)),
-            log(np.add.reduceat(np.ones(len(ue)), first)),
+        weighted = [
+            others,
+            belief * off_delay**2,
+            belief * off_angle**2,
+            self.share * (near & (off_delay < 0)),
+            self.share * (near & (off_delay > 0)),
+            self.share * off_angle**2,
+            np.ones(len(ue)),
         ]
+        unsure, *spreads = np.add.reduceat(np.stack(weighted), first, axis=1)
+        share = self.share[chosen]
+        alone = [
+            share,
+            share / np.maximum.reduceat(self.share, first),
+            self.excess[chosen],
+            self.beside[chosen],
+        ]
+        columns = list(log(np.stack([unsure, *alone, *spreads])))
         left = self.score.astype(np.float64)
         best = chosen
         for _ in range(RIVALS):

@@ -86,12 +86,11 @@ class DirectPath:
         self._angle_cost = cost.astype(np.float32)
         self._lobes = lobes(antennas, a), lobes(tones, d)
         cells = np.arange(a * d).reshape(a, d)
-        ring = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+        ahead = [(0, -1), (-1, 0), (-1, -1), (-1, 1)]  # in memory; behind are the others
+        ring = ahead + [(-i, -j) for i, j in ahead]
         self._neighbours = np.stack([np.roll(cells, shift, axis=(0, 1)).ravel() for shift in ring])
         cross = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
         self._cross = np.stack([np.roll(cells, shift, axis=(0, 1)).ravel() for shift in cross])
-        self._border = np.ones((a, d), np.bool_)
-        self._border[1:-1, 1:-1] = False
         self._allowed = self._searched()
         self._cells = [
             2 * np.pi / antennas.span / self.angle.phase,
@@ -131,15 +130,18 @@ class DirectPath:
         echoes = np.maximum(rest - (1 + self._doubt / np.sqrt(looks)) * noise, 0)
         error = n * (noise / looks * (1 + noise / path) + CROWDING * echoes)
         u_std, v_std = np.sqrt(error * u_var), np.sqrt(error * v_var)
-        evidence += [
+        seen = [
             *(
-                log(std * span / (2 * np.pi))
+                std * (span / (2 * np.pi))
                 for std, span in zip((u_std, v_std), self.periodogram.span, strict=True)
             ),
-            *(log(var / one) for var, one in zip((u_var, v_var), lone, strict=True)),
-            log(echoes / path * n),
-            log(noise / path),
-            log(self.delay.coordinate(-self._within(v, v_std)) / self._cells[1]),
+            *(var / one for var, one in zip((u_var, v_var), lone, strict=True)),
+            echoes / path * n,
+            noise / path,
+            self.delay.coordinate(-self._within(v, v_std)) / self._cells[1],
+        ]
+        evidence += [
+            *log(np.stack(seen)),
             *(np.full(len(u), np.log(cell)) for cell in self._cells),
         ]
         stacked = np.stack(evidence, axis=1)
@@ -209,22 +211,17 @@ class DirectPath:
         )
         above = power >= level.astype(np.float32)[:, None, None]
         above &= self._allowed
-        found = (above & ~self._border).reshape(-1)
-        d = power.shape[2]
-        for shift in (1, d - 1, d, d + 1):  # to the four neighbours ahead, and from them back
-            falls = flat[shift:] < flat[:-shift]
-            found[:-shift] &= falls
-            found[shift:] &= ~falls
-        # the border's neighbours are across the circles
-        edge = np.flatnonzero(above & self._border)
-        cell = edge % cells
-        around = flat[(edge - cell) + self._neighbours[:, cell]]
-        found[edge] = (around <= flat[edge]).all(axis=0)
-        lost = np.flatnonzero(~found.reshape(k, cells).any(axis=1))
+        peaks = np.flatnonzero(above)
+        cell = peaks % cells
+        around, height = flat[(peaks - cell) + self._neighbours[:, cell]], flat[peaks]
+        # of equal ones that lie together, one is left
+        peaks = peaks[(height > around[:4]).all(axis=0) & (height >= around[4:]).all(axis=0)]
+        found = np.bincount(peaks // cells, minlength=k)
+        lost = np.flatnonzero(found == 0)
         if len(lost):
             best = np.where(self._allowed, power[lost], 0).reshape(len(lost), cells).argmax(axis=1)
-            found[lost * cells + best] = True
-        return np.flatnonzero(found)
+            peaks = np.sort(np.concatenate([peaks, lost * cells + best]))
+        return peaks
 
     def _select(self, power: Power, peaks: Index, floor: Floats) -> tuple[Index, list[Floats]]:
         """The direct path's grid point (U,), flat within its spectrum, among the peaks of all spectra.

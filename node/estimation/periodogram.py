@@ -27,8 +27,10 @@ Csi = NDArray[np.complex64]
 Power = NDArray[np.float32]
 Floats = NDArray[np.float64]
 
-_CHUNK_BYTES = 1 << 20
-"""Spectra are made and read so many bytes at a time, to stay in the cache."""
+_CHUNK_BYTES = 1 << 21
+"""Spectra are made and read so many bytes at a time, to stay in the cache ..."""
+TRANSFORMS = 8
+"""... and transformed in so many parts of that, because transforms take as much again for each step."""
 
 
 class Periodogram:
@@ -61,10 +63,14 @@ class Periodogram:
 
     def of(self, csi: Csi) -> Power:
         """P (K, A, D) of frames (K, N_R, N_S)."""
-        placed = self._tones.spread_out(csi, 2)
-        delays = self._antennas.spread_out(fft.ifft(placed, self.grid[1], axis=2, norm="forward"), 1)
-        power: Power = np.absolute(fft.fft(delays, self.grid[0], axis=1, overwrite_x=True), dtype=np.float32)
-        power *= power
+        power = np.empty((len(csi), *self.grid), np.float32)
+        few = max(self.chunk // TRANSFORMS, 1)
+        for i in range(0, len(csi), few):
+            part = power[i : i + few]
+            placed = self._tones.spread_out(csi[i : i + few], 2)
+            delays = self._antennas.spread_out(fft.ifft(placed, self.grid[1], axis=2, norm="forward"), 1)
+            np.absolute(fft.fft(delays, self.grid[0], axis=1, overwrite_x=True), out=part)
+            part *= part
         return power
 
     def derivatives(self, power: Power, u: NDArray[Any], v: NDArray[Any]) -> Floats:
