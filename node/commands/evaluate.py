@@ -40,6 +40,7 @@ from chachart.node.data.chart import ChartUpdate, Method
 from chachart.node.data.errors import SetupError
 from chachart.node.data.extras import require
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.estimation.options import AMPLITUDE
 from chachart.node.estimation.quality import assess
 from chachart.node.estimation.similarity import in_degrees
 from chachart.node.files.recording import RecordingReader
@@ -134,6 +135,8 @@ def _compared(
             "degrees (import them again with --position-unit deg)"
         )
     figures = _one_coordinate_each(told, reader.array)
+    if method.rho in AMPLITUDE and len(known) < FEWEST_UES and settings.estimator.isq_reference is None:
+        figures["rho_error_m"] = None  # these very places have set the scale
     if "none" in (method.theta, method.rho) and "z" not in told.columns:
         return figures, "one coordinate alone is no place: only its own error counts"
     if len(known) < FEWEST_UES:

@@ -12,6 +12,7 @@ from chachart.node.commands.main import main
 from chachart.node.data.calibration import Calibration
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.facts import CaptureFacts
+from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.files.calibration import save_calibration
 from chachart.node.files.recording import RecordingReader, RecordingWriter
 from chachart.sources.base import EndOfSource
@@ -251,3 +252,21 @@ def test_a_table_of_a_kind_that_there_is_not(
 ) -> None:
     assert main(["evaluate", str(recording), "--table", str(tmp_path / "t.docx")]) == 78
     assert "must end in one of .csv, .tex" in capsys.readouterr().err
+
+
+def test_a_distance_scaled_by_its_own_place_is_not_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    array = ArrayGeometry("wifi", 3, 8, 5.18e9, 312_500.0, 0.029)
+    rng = np.random.default_rng(1)
+    csi = rng.standard_normal((12, 3, 8)) + 1j * rng.standard_normal((12, 3, 8))
+    block = CsiBlock.of(csi, ue=1, time_ns=np.arange(12), position=[3.0, 4.0, 0.0], array="wifi")
+    facts = CaptureFacts("random", "relative", "rssi")
+    with RecordingWriter(tmp_path / "a.mcap", array, facts=facts) as writer:
+        writer.write(block)
+    assert main(["evaluate", str(tmp_path / "a.mcap")]) == 0
+    out = capsys.readouterr().out
+    assert "direction" in out
+    assert "distance" not in out.replace("no distances", "")
+    assert main(["evaluate", str(tmp_path / "a.mcap"), "--set", "estimator.isq_reference=[10,50]"]) == 0
+    assert "distance" in capsys.readouterr().out.replace("no distances", "")
