@@ -11,7 +11,7 @@ from pathlib import Path
 
 from live_node import until
 
-from chachart.node.commands.benchmarks.attack_floods import Target
+from chachart.node.commands.benchmarks.attack_target import Target
 from chachart.node.commands.benchmarks.running import RunningNode, children
 
 
@@ -27,7 +27,8 @@ def test_a_node_without_descriptors_goes_on(tmp_path: Path) -> None:
             resource.prlimit(pid, resource.RLIMIT_NOFILE, (few, hard))
         with ExitStack() as held:
             for n in range(120):
-                port = (target.source, target.charts, target.control, target.web)[n % 4]
+                ports = target.ports
+                port = (ports.source, ports.charts, ports.control, ports.web)[n % 4]
                 with suppress(OSError):
                     held.enter_context(socket.create_connection(("127.0.0.1", port), 0.5))
             os.kill(processes["worker 0"], signal.SIGKILL)

@@ -1,33 +1,30 @@
 """Attack: mutated inputs to every decoder, and floods on every socket of a running node.
 
 What may come of an input is a value or a clean error; anything else is a fault, and the command fails. Of
-each flood the table tells what it cost: estimates a second beside a quiet node's, what was dropped and turned
-away, and how the memory of the node's processes grew.
+each flood, which comes from a process of its own, the table tells what it cost: the frames of an honest
+producer that get into the chart, beside a quiet node's, what was dropped and turned away, and how the memory
+of the node's processes grew.
 """
 
 from __future__ import annotations
 
 import argparse
-import resource
 import tempfile
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
-import numpy as np
-
-from chachart.node.commands.benchmarks.attack_floods import FLOODS, Target
-from chachart.node.commands.benchmarks.attack_inputs import DECODERS, Decoder
-from chachart.node.commands.benchmarks.damage_worker import mutated
+from chachart.node.commands.benchmarks.attack_floods import FLOODS, MUTATED, flood
+from chachart.node.commands.benchmarks.attack_inputs import DECODERS
+from chachart.node.commands.benchmarks.attack_target import Target, Watched, apart
+from chachart.node.commands.benchmarks.attack_worker import Thrown, bound, throw
 from chachart.node.commands.benchmarks.report import Table
-from chachart.node.commands.benchmarks.running import RunningNode, footprints
+from chachart.node.commands.benchmarks.running import RunningNode
 from chachart.node.commands.shared.cli import progress
 from chachart.node.data.errors import SetupError
 
-LONGEST_S = 2.0
-"""No decoder may take longer for one input."""
-MOST_GROWTH_BYTES = 512 * 1024**2
-STEP = 1000
+CHUNK = 10_000
+MANY, LONGEST_FLOOD_S = 1 << 40, 3600.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,6 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--decoder", choices=DECODERS, action="append", help="only this one; may be repeated")
     parser.add_argument("--seconds", type=float, default=10.0, help="of each flood (%(default)s)")
     parser.add_argument("--flood", choices=FLOODS, action="append", help="only this one; may be repeated")
+    parser.add_argument(
+        "--thrown", type=int, metavar="N", help="floods of mutated inputs go on until so many were thrown"
+    )
     parser.add_argument("--no-floods", action="store_true", help="decoders alone")
     parser.add_argument("--seed", type=int, default=0, help="of the mutations (%(default)s)")
 
@@ -55,75 +55,56 @@ def run(arguments: argparse.Namespace) -> list[Table]:
 
 
 def _inputs(arguments: argparse.Namespace) -> Table:
-    table = Table("Mutated inputs", ["decoder", "inputs", "taken", "refused", "inputs/s", "slowest ms", "MB"])
-    names = arguments.decoder or list(DECODERS)
-    with progress("inputs", len(names) * arguments.inputs) as done:
+    table = Table("Mutated inputs", ["decoder", "inputs", "taken", "refused", "inputs/s", "MB more"])
+    names, n = arguments.decoder or list(DECODERS), arguments.inputs
+    with progress("inputs", len(names) * n) as done:
         for name in names:
-            taken, took, slowest, growth = _decode(name, DECODERS[name](), arguments, done)
-            n = arguments.inputs
-            table.add(name, n, taken, n - taken, n / took, slowest * 1e3, growth / 1e6)
+            thrown = list(_thrown(name, arguments, done))
+            taken, seconds = sum(t.taken for t in thrown), sum(t.seconds for t in thrown)
+            table.add(name, n, taken, n - taken, n / seconds, sum(t.grown for t in thrown) / 1e6)
     return table
 
 
-def _decode(
-    name: str, decoder: Decoder, arguments: argparse.Namespace, done: Callable[[int], None]
-) -> tuple[int, float, float, int]:
-    """How many inputs were taken, seconds in all and for the slowest, and growth of memory in bytes."""
-    taken, slowest, spent = 0, 0.0, 0.0
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    for n in range(arguments.inputs):
-        rng = np.random.default_rng([arguments.seed, n])
-        data = mutated(decoder.samples[n % len(decoder.samples)], rng)
-        begin = time.perf_counter()
-        try:
-            decoder.decode(data)
-            taken += 1
-        except decoder.refusals:
-            pass
-        except Exception as error:
-            raise SetupError(f"{name}, input {n} of seed {arguments.seed}: {error!r}") from error
-        took = time.perf_counter() - begin
-        spent += took
-        slowest = max(slowest, took)
-        if (n + 1) % STEP == 0 or n + 1 == arguments.inputs:
-            done(n % STEP + 1)
-    growth = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
-    if slowest > LONGEST_S or growth > MOST_GROWTH_BYTES:
-        raise SetupError(f"{name}: one input took {slowest:.1f} s, all of them {growth / 1e6:.0f} MB")
-    return taken, spent, slowest, growth
+def _thrown(name: str, arguments: argparse.Namespace, done: Callable[[int], None]) -> Iterator[Thrown]:
+    DECODERS[name]()  # an extra that is not installed is told before a process is started
+    with apart(bound) as process:
+        for first in range(0, arguments.inputs, CHUNK):
+            count = min(CHUNK, arguments.inputs - first)
+            try:
+                yield process.submit(throw, name, arguments.seed, first, count).result()
+            except BrokenProcessPool:
+                where = f"inputs {first} to {first + count} of seed {arguments.seed}"
+                raise SetupError(f"{name}, {where} ended the process") from None
+            done(count)
 
 
 def _floods(arguments: argparse.Namespace) -> Table:
-    columns = ["flood", "thrown", "estimates/s", "% of quiet", "dropped", "turned away", "MB more"]
-    table = Table(f"Floods of {arguments.seconds:g} s on a node that charts 1000 frames/s", columns)
-    with tempfile.TemporaryDirectory(prefix="chachart-attack-") as folder:
-        target = Target()
-        with RunningNode(Path(folder), target.config()) as node, target.fed(node):
-            quiet = _measure(target, node, lambda until: 0, arguments.seconds)
-            table.add("none", *quiet)
-            for name in arguments.flood or FLOODS:
-                table.add(name, *_measure(target, node, FLOODS[name](target), arguments.seconds, quiet[1]))
-            node.stop()
+    columns = ["flood", "thrown", "estimates/s", "% of quiet", "longest pause s"]
+    columns += ["dropped", "turned away", "MB more at most", "MB more after"]
+    table = Table("Floods on a node that charts 1000 frames/s", columns)
+    target, seconds = Target(), arguments.seconds
+    with (
+        tempfile.TemporaryDirectory(prefix="chachart-attack-") as folder,
+        RunningNode(Path(folder), target.config()) as node,
+        target.fed(node),
+        apart() as process,
+    ):
+        quiet = target.watch(node, None, seconds)
+        _add(table, "none", 0, quiet, quiet.rate)
+        for name in arguments.flood or FLOODS:
+            limits = (
+                (LONGEST_FLOOD_S, arguments.thrown)
+                if arguments.thrown and name in MUTATED
+                else (seconds, MANY)
+            )
+            thrown = process.submit(flood, name, target.ports, *limits)
+            watched = target.watch(node, thrown, 0.0 if limits[1] < MANY else seconds)
+            _add(table, name, thrown.result(), watched, quiet.rate)
+        node.stop()
     return table
 
 
-def _measure(
-    target: Target,
-    node: RunningNode,
-    flood: Callable[[float], int],
-    seconds: float,
-    quiet: float | None = None,
-) -> tuple[int, float, float, int, int, float]:
-    before, bytes_before, begin = target.status(), _bytes(node), time.monotonic()
-    thrown = flood(begin + seconds)
-    node.rest(max(0.01, begin + seconds - time.monotonic()))
-    took, after = time.monotonic() - begin, target.status()
-    rate = (after["frames_estimated"] - before["frames_estimated"]) / took
-    dropped = sum(after["dropped"].values()) - sum(before["dropped"].values())
-    refused = target.refused(after) - target.refused(before)
-    share = 100.0 if quiet is None else 100 * rate / quiet
-    return thrown, rate, share, dropped, refused, (_bytes(node) - bytes_before) / 1e6
-
-
-def _bytes(node: RunningNode) -> int:
-    return sum(footprint.bytes for footprint in footprints(node.pid).values())
+def _add(table: Table, name: str, thrown: int, watched: Watched, quiet: float) -> None:
+    share = 100 * watched.rate / quiet
+    memory = (watched.highest / 1e6, watched.grown / 1e6)
+    table.add(name, thrown, watched.rate, share, watched.pause_s, watched.dropped, watched.refused, *memory)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +30,11 @@ from chachart.node.net.wire import (
 )
 from chachart.sinks.control import decode_request
 from chachart.sources.frontend import packet
+from chachart.sources.live.device import CodecError
+from chachart.sources.live.espargos import message, stream, uart
+from chachart.sources.live.krakensdr import heimdall
+from chachart.sources.live.oai import tracer
+from chachart.sources.live.oai.gnb import DESCRIPTIONS
 
 _SEPARATOR = b"<part>"
 
@@ -100,6 +106,15 @@ def _packet() -> Decoder:
     return Decoder(_packets(), packet.decode, (packet.PacketError,))
 
 
+def _sealed_packet() -> Decoder:
+    """Behind the checksum, which mutations do not get past."""
+
+    def decode(data: bytes) -> Any:
+        return packet.decode(data[:-4] + zlib.crc32(data[:-4]).to_bytes(4, "little"))
+
+    return Decoder(_packets(), decode, (packet.PacketError,))
+
+
 def _stream() -> Decoder:
     require("serial", "chachart bench attack:")
     from chachart.sources.frontend.framing import StreamDecoder, encode_frame
@@ -110,6 +125,74 @@ def _stream() -> Decoder:
     return Decoder([sample], decoder.feed, ())
 
 
+def _espargos() -> Decoder:
+    csi = np.ones(len(message.TONES), np.complex64)
+    heard = message.SensorCsi(0x1122, 2**48 - 1, 0x1230, False, False, 10**10, csi, -61, -96, 6, -1)
+    return Decoder([message.encode_message(heard)], message.decode_message, (CodecError,))
+
+
+def _sealed_espargos() -> Decoder:
+    plain = _espargos()
+    seal = plain.samples[0][-7:-4]
+
+    def decode(data: bytes) -> Any:
+        return plain.decode(data[:-7] + seal + zlib.crc32(data[:-7]).to_bytes(4, "little"))
+
+    return Decoder(plain.samples, decode, plain.refusals)
+
+
+def _espargos_packet() -> Decoder:
+    [sample] = _espargos().samples
+    fragments = [stream.Fragment(7, n, 2, part) for n, part in enumerate((sample[:100], sample[100:]))]
+    packet = stream.encode_packet(fragments)
+    return Decoder([packet], lambda data: list(stream.decode_packet(data)), (CodecError,))
+
+
+def _uart() -> Decoder:
+    bodies = {
+        uart.Kind.REQUEST: uart.request("GET", "/csi", b"{}"),
+        uart.Kind.RESPONSE: uart.response(200, b"fine"),
+        uart.Kind.HELLO_RESPONSE: uart.hello_response("board", "2", 1, 0),
+    }
+
+    def decode(data: bytes) -> Any:
+        frame = uart.decode(data)
+        match frame.kind:
+            case uart.Kind.REQUEST:
+                return uart.parse_request(frame.payload)
+            case uart.Kind.RESPONSE:
+                return uart.parse_response(frame.payload)
+        return uart.parse_hello(frame.payload)
+
+    samples = [uart.encode(uart.UartFrame(kind, 3, body)) for kind, body in bodies.items()]
+    return Decoder(samples, decode, (CodecError,))
+
+
+def _heimdall() -> Decoder:
+    header = heimdall.Header(heimdall.DATA, 5, 64, 32, 433_000_000, 2_400_000, 10**18, 7, 3, True, False)
+    sample = heimdall.encode_frame(header, np.zeros((5, 64), np.complex64))[: heimdall.HEADER_BYTES]
+
+    def decode(data: bytes) -> int:
+        whole = data.ljust(heimdall.HEADER_BYTES, b"\0")[: heimdall.HEADER_BYTES]
+        return heimdall.decode_header(whole).payload_bytes
+
+    return Decoder([sample], decode, (CodecError,))
+
+
+def _tracer() -> Decoder:
+    events = [tracer.Event(10**18, n, bytes(40)) for n in range(4)]
+    sample = b"".join(map(tracer.encode_event, events))
+    return Decoder([sample], lambda data: list(tracer.EventStream().feed(data)), (CodecError,))
+
+
+def _descriptions() -> Decoder:
+    return Decoder(
+        [DESCRIPTIONS.encode()],
+        lambda data: tracer.parse_descriptions(data.decode("latin-1")),
+        (CodecError,),
+    )
+
+
 DECODERS: dict[str, Callable[[], Decoder]] = {
     "csi": _csi,
     "csi-map": _csi_map,
@@ -117,5 +200,13 @@ DECODERS: dict[str, Callable[[], Decoder]] = {
     "report": _reports,
     "control": _control,
     "packet": _packet,
+    "packet-sealed": _sealed_packet,
     "stream": _stream,
+    "espargos": _espargos,
+    "espargos-sealed": _sealed_espargos,
+    "espargos-packet": _espargos_packet,
+    "espargos-uart": _uart,
+    "heimdall": _heimdall,
+    "tracer": _tracer,
+    "tracer-descriptions": _descriptions,
 }

@@ -14,49 +14,16 @@ from types import FrameType
 import numpy as np
 
 from chachart.node.commands.benchmarks import captures
+from chachart.node.commands.benchmarks.mutations import mutated
 from chachart.node.data.errors import SetupError
 from chachart.sources.formats import open_capture
 
 REPORT_EVERY = 100
 SAMPLE_FRAMES = 6
-HEAD_BYTES = 256
-"""Half of the mutations hit a file's beginning, where most of its structure stands."""
-_TELLING = (0, 1, 0x7F, 0x80, 0xFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
 
 
 class TooLong(BaseException):
     """A file took longer than it may; no reader catches this."""
-
-
-def mutated(data: bytes, rng: np.random.Generator) -> bytes:
-    """`data` with one to four mutations: bits and words changed, pieces cut, doubled, zeroed, inserted."""
-    found = bytearray(data)
-    for _ in range(int(rng.integers(1, 5))):
-        size = len(found)
-        if not size:
-            break
-        at = int(rng.integers(min(size, HEAD_BYTES) if rng.random() < 0.5 else size))
-        length = min(size - at, int(rng.integers(1, 65)))
-        match int(rng.integers(8)):
-            case 0:
-                found[at] ^= 1 << int(rng.integers(8))
-            case 1:
-                found[at] = int(rng.integers(256))
-            case 2:
-                width = 1 << int(rng.integers(4))
-                value = _TELLING[int(rng.integers(len(_TELLING)))] & ((1 << 8 * width) - 1)
-                found[at : at + width] = value.to_bytes(width, "little" if rng.random() < 0.5 else "big")
-            case 3:
-                del found[at:]
-            case 4:
-                del found[at : at + length]
-            case 5:
-                found[at:at] = found[at : at + length]
-            case 6:
-                found[at : at + length] = bytes(length)
-            case 7:
-                found[at:at] = rng.bytes(length)
-    return bytes(found)
 
 
 def read(path: Path) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from chachart.node.commands.benchmarks import captures, damage, formats
-from chachart.node.commands.benchmarks.damage_worker import mutated
+from chachart.node.commands.benchmarks.mutations import mutated
 from chachart.node.data.errors import SetupError
 from chachart.sources.formats import open_capture
 
