@@ -208,9 +208,9 @@ class WorkersSettings(Settings):
     count: int = Field(1, ge=1, le=64)
     """Worker processes; a UE belongs to one of them for good."""
     block_frames: int = Field(64, ge=1, le=4096)
-    """A block goes to its worker when it holds so many frames ..."""
-    linger_ms: float = Field(5.0, ge=0, le=1000)
-    """... or when its first frame has waited so long."""
+    """What comes while a worker is busy grows to blocks of so many frames; an idle one gets it at once."""
+    linger_ms: float = Field(1.0, ge=0, le=1000)
+    """The longest that a block waits to grow."""
     queue_blocks: int = Field(64, ge=1, le=65536)
     """Blocks that may wait for a worker before a lossless source waits and a live one drops its oldest."""
     credit_blocks: int = Field(8, ge=1, le=1024)

@@ -36,7 +36,19 @@ class SinkSettings(Settings):
 
 
 class NodeAccess(Protocol):
-    """What a sink may ask of the node it belongs to; safe to call from any thread."""
+    """What a sink may ask of the node it belongs to; safe to call from any thread.
+
+    What goes on to the feeder or to the worker that has the UE is asked by its own name.
+    """
+
+    def ask(self, operation: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        """The answer of the node's processes to a request.
+
+        Raises
+        ------
+        RequestError
+            If it is answered with an error, or not in time.
+        """
 
     def chart(self) -> ChartUpdate | None:
         """The whole chart as it stands, or None before the first estimate."""
@@ -61,6 +73,7 @@ class NodeAccess(Protocol):
         RequestError
             If the UE is not on the chart, or nobody answers in time.
         """
+        return self.ask("spectrum", {"ue": ue})
 
     def antennas(self, ue: int) -> dict[str, Any]:
         """Level and phase by antenna and by subcarrier of the UE's newest frame, and its paths.
@@ -68,6 +81,7 @@ class NodeAccess(Protocol):
         `antenna_db`, `antenna_phase`, `tone_db`, `tone_phase` of the frame as it came in, `ue`, `time_ns`,
         and the picture of `chachart.node.estimation.angle_delay`; {} until a frame comes that was asked for.
         """
+        return self.ask("antennas", {"ue": ue})
 
     def set_method(self, theta: str, rho: str) -> dict[str, str]:
         """Estimate with these methods from the next block on; {theta, rho}.
@@ -100,6 +114,7 @@ class NodeAccess(Protocol):
         RequestError
             If the file cannot be written or a recording runs already; nothing has changed then.
         """
+        return self.ask("start_recording", {"path": str(path)})
 
     def stop_recording(self) -> dict[str, Any]:
         """Close the recording that `start_recording` began; {on, where, received, dropped, ...}.
@@ -109,6 +124,7 @@ class NodeAccess(Protocol):
         RequestError
             If none runs.
         """
+        return self.ask("stop_recording", {})
 
 
 class Sink(ABC):

@@ -8,6 +8,7 @@ is told to write a snapshot of its state: what it acknowledged before need not b
 from __future__ import annotations
 
 import logging
+import math
 import os
 import time
 from pathlib import Path
@@ -19,10 +20,11 @@ from chachart.node.runtime import messages
 from chachart.node.runtime.child import leave_alone_what_lives, load_class
 from chachart.node.runtime.csi_sinks import CsiSinks
 from chachart.node.runtime.feeder_requests import FeederRequests, Terms
+from chachart.node.runtime.going_on import go_on
 from chachart.node.runtime.hung_workers import HungWorkers
 from chachart.node.runtime.partition import Partitioner
-from chachart.node.runtime.progress import Applied, Mark, highest
-from chachart.node.runtime.reader import ORDER, Reader, Tally
+from chachart.node.runtime.progress import Mark
+from chachart.node.runtime.reader import Reader, Tally
 from chachart.node.runtime.shard_queue import ShardQueue
 from chachart.node.runtime.shard_queues import ShardQueues
 from chachart.node.runtime.snapshot_schedule import SnapshotKeeper
@@ -33,7 +35,6 @@ log = logging.getLogger(__name__)
 
 STATUS_EVERY_S = 0.25
 LAST_SNAPSHOT_S = 5.0
-NOTHING_COUNTED: dict[str, Any] = {"frames_in": 0, "blocks_in": 0, "rejected": {}, **dict.fromkeys(ORDER, 0)}
 
 
 class StartOver(Exception):
@@ -59,13 +60,20 @@ class Dispatcher:
         retain_bytes = int(state["retain_mib"] * 2**20 / count) if state["every_s"] else 0
         self._queues = ShardQueues(
             [
-                ShardQueue(workers["queue_blocks"], workers["credit_blocks"], source.lossless, retain_bytes)
+                ShardQueue(
+                    workers["queue_blocks"],
+                    workers["credit_blocks"],
+                    source.lossless,
+                    retain_bytes,
+                    workers["block_frames"],
+                    workers["linger_ms"] / 1e3,
+                )
                 for _ in range(count)
             ],
             source.lossless,
             self._wake,
         )
-        partitioner = Partitioner(count, workers["block_frames"], workers["linger_ms"] / 1e3)
+        partitioner = Partitioner(count, workers["block_frames"])
         tally = Tally(Path(settings["tally"]))
         self._reader = Reader(source, partitioner, self._queues, tally, settings["time_tolerance_s"])
         self._csi_sinks = CsiSinks(self._reader, source, settings["facts"])
@@ -139,7 +147,8 @@ class Dispatcher:
 
     def _pass(self) -> None:
         """Wait for something to happen, and take what has come."""
-        events = dict(self._poller.poll(int(STATUS_EVERY_S * 1e3)))
+        patience = min(self._queues.deadline() - time.monotonic(), STATUS_EVERY_S)
+        events = dict(self._poller.poll(math.ceil(max(patience, 0.0) * 1e3)))
         if self._wake_fd in events:
             os.eventfd_read(self._wake_fd)
         self._hear_workers()
@@ -220,12 +229,17 @@ class Dispatcher:
 
     def _send_blocks(self) -> None:
         now = time.monotonic()
-        for shard, peer in enumerate(self._links.peers):
-            while peer is not None and (
-                entry := self._queues.take(shard, self._terms.method, now, self._terms.round)
-            ):
-                mark = self._snapshots.newer_mark(shard, self._reader.marks, entry.content.start)
-                self._links.send_block(shard, entry, mark)
+        takers = [shard for shard, peer in enumerate(self._links.peers) if peer is not None]
+        while takers:  # in turn, so that no worker waits for the blocks of another
+            takers = [shard for shard in takers if self._send_block(shard, now)]
+
+    def _send_block(self, shard: int, now: float) -> bool:
+        entry = self._queues.take(shard, self._terms.method, now, self._terms.round)
+        if entry is None:
+            return False
+        mark = self._snapshots.newer_mark(shard, self._reader.marks, entry.content.start)
+        self._links.send_block(shard, entry, mark)
+        return True
 
     def _last_snapshots(self) -> None:
         """Have everybody write down what a resumed node needs, when all is drained."""
@@ -262,41 +276,13 @@ class Dispatcher:
 
     def _start_when_ready(self) -> None:
         if self._go and not self._started and all(peer is not None for peer in self._links.peers):
-            self._go_on()
+            self._terms.round = max(hello["round"] for hello in self._hellos)
+            mark, counted = self._snapshots.oldest_mark, self._settings["counted"]
+            go_on(self._hellos, mark, counted, self._source, self._queues, self._reader)
             self._started = True
             leave_alone_what_lives()
             self._reader.start()
             self._tell(messages.STARTED, {})
-
-    def _go_on(self) -> None:
-        """Take up where an earlier feeder was, if the workers' state says that there was one."""
-        applied: Applied = highest(
-            (int(shards), int(shard), int(frame))
-            for hello in self._hellos
-            for shards, shard, frame in hello["applied"]
-        )
-        self._terms.round = max(hello["round"] for hello in self._hellos)
-        counted = self._settings["counted"]
-        if counted is None and not applied:
-            return
-        with self._queues.shard(0) as queue:
-            queue.dropped.merge({} if counted is None else counted["dropped_here"])
-        counted = {"frames_in": 0, "blocks_in": 0, "rejected": {}, "gaps": 0, "out_of_order": 0} | (
-            counted or {}
-        )
-        mark, read_before = self._snapshots.oldest_mark, counted["frames_in"]
-        if self._source.position() is None:
-            read_before = 0  # gone is gone
-            mark, applied = Mark(max((frame for *_, frame in applied), default=0), None), []
-            lost = counted["frames_in"] - self._queues.accounted()
-            if lost > 0:
-                with self._queues.shard(0) as queue:
-                    queue.dropped.add("feeder_lost", lost)
-        elif mark.position is not None:
-            self._source.resume(mark.position)
-        counted["frames_in"] = self._queues.accounted()
-        log.info("reading goes on at frame %d", mark.frame)
-        self._reader.go_on(mark, applied, counted, read_before)
 
     def _worker_lost(self, shard: int) -> None:
         self._links.peers[shard] = None

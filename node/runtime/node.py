@@ -6,7 +6,6 @@ import logging
 import threading
 import time
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from chachart.node.data.chart import ChartUpdate
@@ -14,6 +13,7 @@ from chachart.node.data.errors import SetupError
 from chachart.node.runtime import messages
 from chachart.node.runtime.child import Child
 from chachart.node.runtime.collector import Collector
+from chachart.node.runtime.feeder import START_OVER
 from chachart.node.runtime.feeder_process import FeederProcess
 from chachart.node.runtime.launch import Launcher
 from chachart.node.runtime.links import Links
@@ -27,6 +27,7 @@ from chachart.node.runtime.requests import PendingRequests, chart_columns, check
 from chachart.node.runtime.source_processes import SourceProcesses
 from chachart.node.runtime.status import NodeStatus, summary
 from chachart.node.runtime.supervisor import SupervisedChild, Supervisor
+from chachart.sinks.base import NodeAccess
 
 log = logging.getLogger(__name__)
 
@@ -38,7 +39,7 @@ CLOSE_WITHIN_S = 5.0
 WORKERS_CLOSE_WITHIN_S = 2.0
 
 
-class Node:
+class Node(NodeAccess):
     """Runs a plan: `start`, then `wait` until it has ended (or `stop` it), then `close`.
 
     It is also the `NodeAccess` that sinks get.
@@ -169,29 +170,20 @@ class Node:
     def chart_columns(self) -> dict[str, Any]:
         return chart_columns(self.chart(), self._plan.array)
 
-    def spectrum(self, ue: int) -> dict[str, Any]:
-        return self._pending.ask("spectrum", {"ue": ue})
-
-    def antennas(self, ue: int) -> dict[str, Any]:
-        return self._pending.ask("antennas", {"ue": ue})
+    def ask(self, operation: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        return self._pending.ask(operation, arguments)
 
     def set_method(self, theta: str, rho: str) -> dict[str, str]:
-        return self._pending.ask("set_method", checked_method(self._plan, theta, rho))
+        return self.ask("set_method", checked_method(self._plan, theta, rho))
 
     def replay(
         self, *, paused: bool | None = None, speed: float | None = None, at_s: float | None = None
     ) -> dict[str, Any]:
         wishes = {"paused": paused, "speed": speed, "at_s": at_s}
-        answer = self._pending.ask("replay", wishes)
+        answer = self.ask("replay", wishes)
         if answer["jumped"]:
             self._collector.start_over()
         return answer
-
-    def start_recording(self, path: Path) -> dict[str, Any]:
-        return self._pending.ask("start_recording", {"path": str(path)})
-
-    def stop_recording(self) -> dict[str, Any]:
-        return self._pending.ask("stop_recording", {})
 
     def _run(self) -> None:
         try:
@@ -258,6 +250,9 @@ class Node:
         self._feeder.supervised.is_up()
         if self._ready.is_set():  # it is not the first one: nobody else says go
             self._links.command(messages.GO, {})
+            if self._give_up_at is not None:
+                within_s = max(self._give_up_at - CLOSE_WITHIN_S - time.monotonic(), 0.0)
+                self._links.command(messages.STOP, {"within_s": within_s})
         self._all_ready()
 
     def _all_ready(self) -> None:
@@ -276,11 +271,13 @@ class Node:
         return self._launch.feeder(self._method, counted, self._sources.done)
 
     def _feeder_died(self) -> None:
-        """Take what it had still sent. One that fails before it is ready would again; to drain takes one."""
+        """Take what it had still sent. One that fails before it is ready would again; while the node drains,
+        only one that reads again what a worker needs has a successor."""
         for kind, body, *rest in self._links.receive(0):
             self._handle(kind, messages.unpack(body), rest)
-        failed = not self._ready.is_set() and self._feeder.supervised.last_code > 0
-        if self._give_up_at is not None or failed:
+        code = self._feeder.supervised.last_code
+        drains, failed = self._give_up_at is not None, not self._ready.is_set() and code > 0
+        if failed or (drains and code != START_OVER):
             self._give_up("the feeder process died")
 
     def _resume(self) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,14 +32,19 @@ class ShardBlock:
     start: int
     end: int
 
+    def fits(self, other: ShardBlock) -> bool:
+        """Whether they may be joined."""
+        return self.block.array == other.block.array
 
-@dataclass(slots=True)
-class _Pending:
-    blocks: list[CsiBlock] = field(default_factory=list)
-    frames: int = 0
-    arrivals: list[tuple[float, int]] = field(default_factory=list)
-    start: int = 0
-    end: int = 0
+    @staticmethod
+    def joined(blocks: Sequence[ShardBlock]) -> ShardBlock:
+        """One block of all frames of blocks that follow each other."""
+        first, last = blocks[0], blocks[-1]
+        if len(blocks) == 1:
+            return first
+        arrivals = tuple(arrival for block in blocks for arrival in block.arrivals)
+        block = CsiBlock.concatenate([block.block for block in blocks])
+        return ShardBlock(first.shard, block, arrivals, first.start, last.end)
 
 
 def shard_of(ue: NDArray[np.uint64], shards: int) -> NDArray[np.intp]:
@@ -54,73 +59,31 @@ def shard_of(ue: NDArray[np.uint64], shards: int) -> NDArray[np.intp]:
 class Partitioner:
     """Blocks of any size in, blocks of at most `block_frames` frames of one shard out.
 
-    Frames of one UE keep their order. A block leaves when it is full, or by `due` when its first frame has
-    waited `linger_s`. With one shard, whole blocks pass through as views, without a copy.
+    Frames of one UE keep their order. With one shard, blocks pass through as views, without a copy.
     """
 
-    def __init__(self, shards: int, block_frames: int, linger_s: float) -> None:
+    def __init__(self, shards: int, block_frames: int) -> None:
         self._shards = shards
         self._block_frames = block_frames
-        self._linger = linger_s
-        self._pending = [_Pending() for _ in range(shards)]
 
-    def add(self, block: CsiBlock, now: float, numbers: NDArray[np.int64]) -> list[ShardBlock]:
-        """Take a block that came in at `now`, with the reader's number of each frame; gives what is full."""
+    def parts(self, block: CsiBlock, now: float, numbers: NDArray[np.int64]) -> Iterator[ShardBlock]:
+        """The shards' parts of a block that came in at `now`, with the reader's number of each frame."""
         if self._shards == 1:
-            return list(self._extend(0, block, now, numbers))
+            yield from self._cut(0, block, now, numbers)
+            return
         shard = shard_of(block.ue, self._shards)
         order = np.argsort(shard, kind="stable")
         ends = np.searchsorted(shard[order], np.arange(self._shards + 1))
-        full: list[ShardBlock] = []
         for s in range(self._shards):
             if ends[s] < ends[s + 1]:
                 index = order[ends[s] : ends[s + 1]]
-                full += self._extend(s, block.take(index), now, numbers[index])
-        return full
+                yield from self._cut(s, block.take(index), now, numbers[index])
 
-    def due(self, now: float) -> list[ShardBlock]:
-        """The blocks whose first frame has waited long enough at `now`."""
-        return [
-            self._emit(s)
-            for s, pending in enumerate(self._pending)
-            if pending.frames and now >= pending.arrivals[0][0] + self._linger
-        ]
-
-    def deadline(self) -> float | None:
-        """When `due` will next have something to give, or None if nothing waits."""
-        arrivals = [p.arrivals[0][0] for p in self._pending if p.frames]
-        return min(arrivals) + self._linger if arrivals else None
-
-    def flush(self) -> list[ShardBlock]:
-        """Everything that waits, now."""
-        return [self._emit(s) for s, pending in enumerate(self._pending) if pending.frames]
-
-    def waiting_from(self) -> int | None:
-        """The lowest number of a frame that waits here, or None."""
-        return min((p.start for p in self._pending if p.frames), default=None)
-
-    def _extend(
+    def _cut(
         self, shard: int, block: CsiBlock, now: float, numbers: NDArray[np.int64]
     ) -> Iterator[ShardBlock]:
-        start = 0
-        while start < len(block):
-            pending = self._pending[shard]
-            if pending.frames and pending.blocks[-1].array != block.array:
-                yield self._emit(shard)
-                pending = self._pending[shard]
-            stop = min(len(block), start + self._block_frames - pending.frames)
-            if not pending.frames:
-                pending.start = int(numbers[start])
-            pending.end = int(numbers[stop - 1]) + 1
-            pending.blocks.append(block.cut(start, stop))
-            pending.arrivals.append((now, stop - start))
-            pending.frames += stop - start
-            start = stop
-            if pending.frames == self._block_frames:
-                yield self._emit(shard)
-
-    def _emit(self, shard: int) -> ShardBlock:
-        pending = self._pending[shard]
-        self._pending[shard] = _Pending()
-        block = CsiBlock.concatenate(pending.blocks)
-        return ShardBlock(shard, block, tuple(pending.arrivals), pending.start, pending.end)
+        for start in range(0, len(block), self._block_frames):
+            stop = min(len(block), start + self._block_frames)
+            part = block.cut(start, stop)
+            first, last = int(numbers[start]), int(numbers[stop - 1])
+            yield ShardBlock(shard, part, ((now, stop - start),), first, last + 1)

@@ -233,6 +233,18 @@ class BlockProcessor:
         fused = self._estimator
         return fused.array_report() if isinstance(fused, FusedEstimator) else []
 
+    def answer(self, operation: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        """The answer to a request about one of the UEs that are here.
+
+        Raises
+        ------
+        RequestError
+            If there is no such operation, or it cannot be carried out.
+        """
+        if operation == "spectrum":
+            return self.spectrum(arguments["ue"])
+        raise RequestError(f"a worker knows no operation {operation!r}")
+
     def spectrum(self, ue: int) -> dict[str, Any]:
         """See `NodeAccess`.
 

@@ -18,7 +18,7 @@ from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.runtime import messages
 from chachart.node.runtime.antenna_looks import AntennaLooks
-from chachart.node.runtime.partition import Partitioner, ShardBlock
+from chachart.node.runtime.partition import Partitioner
 from chachart.node.runtime.progress import Applied, Mark, Marks, missing
 from chachart.node.runtime.shard_queues import ShardQueues
 from chachart.node.runtime.sink_thread import SinkThread
@@ -33,8 +33,6 @@ log = logging.getLogger(__name__)
 RECV_TIMEOUT_S = 0.1
 ORDER = ("gaps", "out_of_order", "restamped")
 MARK_EVERY_S = 0.1
-TIMER_S = 0.001
-"""Sockets wait in whole milliseconds: better a block leaves up to one early than one late."""
 
 
 class Tally:
@@ -191,20 +189,16 @@ class Reader:
         except Exception as error:
             self.failure = f"the source failed: {error}"
             log.exception("the source failed")
-        finally:
-            self._pass_on(self._partitioner.flush())
 
     def _step(self) -> None:
         self._mark()
-        deadline = self._partitioner.deadline()
-        wait = RECV_TIMEOUT_S if deadline is None else deadline - TIMER_S - time.monotonic()
-        block = self._source.recv(min(max(wait, 0.0), RECV_TIMEOUT_S))
+        block = self._source.recv(RECV_TIMEOUT_S)
         now = self.stirred = time.monotonic()
         if block is not None and self._fits(block):
             if self._watched(block):
                 self.antennas.see(block, now)
             self._take(block, now)
-        self._pass_on(self._partitioner.due(now + TIMER_S))
+            self.passed_on = self._number
 
     def _take(self, block: CsiBlock, now: float) -> None:
         if self._tolerance_ns < math.inf:
@@ -225,7 +219,8 @@ class Reader:
         # What is played again makes the same chart every time: there only [array] leaves antennas out.
         if not self._source.lossless and self._watched(block):
             block = self.antennas.without_dead(block)
-        self._pass_on(self._partitioner.add(block, now, numbers))
+        for part in self._partitioner.parts(block, now, numbers):
+            self._queues.put(part)
 
     def _watched(self, block: CsiBlock) -> bool:
         """Whether a block is of the array whose antennas are watched: of several the first."""
@@ -259,9 +254,3 @@ class Reader:
             )
         self._expected = max(block.seq + len(block), self._expected or 0)
         return True
-
-    def _pass_on(self, contents: list[ShardBlock]) -> None:
-        for content in contents:
-            self._queues.put(content)
-        waiting = self._partitioner.waiting_from()
-        self.passed_on = self._number if waiting is None else waiting

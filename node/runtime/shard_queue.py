@@ -8,11 +8,12 @@ time: frames put = estimated + rejected + dropped + held.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from chachart.node.data.counters import Counters
+from chachart.node.runtime.entries import Entry, Handover, Waiting
 from chachart.node.runtime.partition import ShardBlock
 
 MAX_DEATHS = 3
@@ -23,42 +24,10 @@ LEARN = 0.1
 """Weight of the newest block in the typical time that one takes."""
 
 
-@dataclass(slots=True, eq=False)
-class Entry:
-    """A block on its way.
-
-    `seq` numbers the blocks of a shard in the order they were first sent, `method` (theta, rho) is what they
-    were first sent to be estimated with, `round` how often the source had jumped in time then: they stay with
-    the block, however often that is sent.
-    """
-
-    content: ShardBlock
-    seq: int = -1
-    method: tuple[str, str] = ("", "")
-    round: int = 0
-    deaths: int = 0
-    sent_at: float = 0.0
-    acknowledged: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Handover:
-    """What `ShardQueue.worker_up` found.
-
-    Attributes
-    ----------
-    lost
-        Frames that are in nobody's state any more.
-    ahead
-        Whether the state holds blocks whose results never arrived.
-    """
-
-    lost: int
-    ahead: bool
-
-
 class ShardQueue:
     """The way of blocks to one worker.
+
+    An idle worker gets what is there at once; what comes while it is busy grows to whole blocks.
 
     Parameters
     ----------
@@ -70,6 +39,10 @@ class ShardQueue:
         Whether to keep every block.
     retain_bytes
         CSI of acknowledged blocks that may be retained until a snapshot covers them.
+    block_frames
+        Frames that make a whole block.
+    linger_s
+        How long less than a whole block waits for a busy worker.
 
     Attributes
     ----------
@@ -93,12 +66,22 @@ class ShardQueue:
         How long a block takes from being sent to its acknowledgement; None before the first.
     """
 
-    def __init__(self, capacity: int, credit: int, lossless: bool, retain_bytes: int = 0) -> None:
+    def __init__(
+        self,
+        capacity: int,
+        credit: int,
+        lossless: bool,
+        retain_bytes: int = 0,
+        block_frames: int = 1,
+        linger_s: float = 0.0,
+    ) -> None:
         self._capacity = capacity
         self._credit = credit
         self._lossless = lossless
         self._retain_bytes = retain_bytes
-        self._waiting: deque[Entry] = deque()
+        self._block_frames = block_frames
+        self._linger_s = linger_s
+        self._waiting: deque[Waiting] = deque()
         self._again: deque[Entry] = deque()
         self._unacknowledged: dict[int, Entry] = {}
         self._retained: deque[Entry] = deque()
@@ -153,32 +136,57 @@ class ShardQueue:
     @property
     def unsent_from(self) -> int | None:
         """The reader's number of the first frame that waits, or None."""
-        return self._waiting[0].content.start if self._waiting else None
+        return self._waiting[0].parts[0].start if self._waiting else None
 
     def oldest_sent_at(self) -> float | None:
         """When the oldest block was sent that is not acknowledged, or None."""
         return next((entry.sent_at for entry in self._unacknowledged.values()), None)
 
-    def put(self, content: ShardBlock) -> None:
-        """Add a block; a live queue that is full drops its oldest and counts it as `queue_full`."""
+    def put(self, content: ShardBlock) -> bool:
+        """Add frames; whether that is news to whoever waits for blocks.
+
+        A live queue that is full drops its oldest block and counts it as `queue_full`.
+        """
+        frames = len(content.block)
+        self.frames_held += frames
+        last = self._waiting[-1] if self._waiting else None
+        if last and last.frames + frames <= self._block_frames and last.parts[-1].fits(content):
+            last.parts.append(content)
+            last.frames += frames
+            return last.frames == self._block_frames
         if not self._lossless and len(self._waiting) >= self._capacity:
-            self._drop(self._waiting.popleft(), "queue_full")
-        self._waiting.append(Entry(content))
-        self.frames_held += len(content.block)
+            self._drop(self._waiting.popleft().frames, "queue_full")
+        self._waiting.append(Waiting([content], frames))
+        return True
 
     def next_to_send(self, method: tuple[str, str], now: float = 0.0, round_: int = 0) -> Entry | None:
         """The next block for the worker, from now on unacknowledged; None without block or credit."""
-        if len(self._unacknowledged) >= self._credit or not (self._again or self._waiting):
+        if len(self._unacknowledged) >= self._credit:
             return None
         if self._again:
             entry = self._again.popleft()
-        else:
-            entry = self._waiting.popleft()
+        elif self._waiting and now >= self._ripe_at():
+            entry = Entry(ShardBlock.joined(self._waiting.popleft().parts))
             entry.seq, entry.method, entry.round = self._next_seq, method, round_
             self._next_seq += 1
+        else:
+            return None
         entry.sent_at = now
         self._unacknowledged[entry.seq] = entry
         return entry
+
+    def deadline(self) -> float | None:
+        """When `next_to_send` will have something to give though nothing happens until then, or None."""
+        if not self._waiting or self._again or len(self._unacknowledged) >= self._credit:
+            return None
+        ripe_at = self._ripe_at()
+        return ripe_at if ripe_at > -math.inf else None
+
+    def _ripe_at(self) -> float:
+        """From when on the first block that waits may go."""
+        first = self._waiting[0]
+        whole = len(self._waiting) > 1 or first.frames >= self._block_frames
+        return first.since + self._linger_s if self._unacknowledged and not whole else -math.inf
 
     def acknowledge(
         self, seqs: Sequence[int], estimated: int, rejected: Mapping[str, int], now: float = 0.0
@@ -259,9 +267,11 @@ class ShardQueue:
 
     def abandon(self, reason: str) -> None:
         """Drop all that is held and count it."""
-        for entry in [*self._unacknowledged.values(), *self._again, *self._waiting]:
+        for entry in [*self._unacknowledged.values(), *self._again]:
             if not entry.acknowledged:
-                self._drop(entry, reason)
+                self._drop(len(entry.content.block), reason)
+        for waiting in self._waiting:
+            self._drop(waiting.frames, reason)
         self._unacknowledged.clear()
         self._again.clear()
         self._waiting.clear()
@@ -287,9 +297,8 @@ class ShardQueue:
             self._unretained_seq = max(self._unretained_seq, entry.seq)
             self._unretained_ues.update(entry.content.block.ue.tolist())
         else:
-            self._drop(entry, "worker_killer")
+            self._drop(len(entry.content.block), "worker_killer")
 
-    def _drop(self, entry: Entry, reason: str) -> None:
-        frames = len(entry.content.block)
+    def _drop(self, frames: int, reason: str) -> None:
         self.frames_held -= frames
         self.dropped.add(reason, frames)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from chachart.node.data.counters import Counters
+from chachart.node.runtime.entries import Entry
 from chachart.node.runtime.partition import ShardBlock
-from chachart.node.runtime.shard_queue import Entry, ShardQueue
+from chachart.node.runtime.shard_queue import ShardQueue
 
 
 class ShardQueues:
@@ -48,10 +50,11 @@ class ShardQueues:
         with self._condition:
             while self._lossless and queue.full and self._abandoned is None:
                 self._condition.wait()
-            queue.put(content)
+            news = queue.put(content)
             if self._abandoned is not None:
                 queue.abandon(self._abandoned)
-        self._wake()
+        if news:
+            self._wake()
 
     def take(self, shard: int, method: tuple[str, str], now: float, round_: int) -> Entry | None:
         """The next block for the worker of `shard`, if it has credit."""
@@ -60,6 +63,12 @@ class ShardQueues:
             if entry is not None:
                 self._condition.notify_all()
             return entry
+
+    def deadline(self) -> float:
+        """When `take` will have something to give though nothing happens until then; infinity for never."""
+        with self._condition:
+            deadlines = [queue.deadline() for queue in self._queues]
+        return min((deadline for deadline in deadlines if deadline is not None), default=math.inf)
 
     def acknowledge(
         self, shard: int, seqs: Sequence[int], estimated: int, rejected: Mapping[str, int], now: float

@@ -189,9 +189,7 @@ class Worker:
         """Answer a request; one that fails, for whatever reason, costs an error message and nothing else."""
         answer: dict[str, Any] = {"id": values["id"]}
         try:
-            if values["operation"] != "spectrum":
-                raise RequestError(f"a worker knows no operation {values['operation']!r}")
-            answer["result"] = self._processor.spectrum(values["arguments"]["ue"])
+            answer["result"] = self._processor.answer(values["operation"], values["arguments"])
         except RequestError as error:
             answer["error"] = str(error)
         except Exception as error:

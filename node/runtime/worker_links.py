@@ -11,7 +11,7 @@ import zmq
 
 from chachart.node.net.wire import encode_csi
 from chachart.node.runtime import messages
-from chachart.node.runtime.shard_queue import Entry
+from chachart.node.runtime.entries import Entry
 
 Message = tuple[int, bytes, dict[str, Any], list[bytes]]
 

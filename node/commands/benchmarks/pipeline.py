@@ -40,6 +40,7 @@ LATENCY_S = 6.0
 WARM_UP_S = 2.0
 LISTEN_S = 0.2
 LATE_S = 0.05
+START_WITHIN_S = 60.0
 RUN_WITHIN_S = 600.0
 CAPTURE = "capture.mcap"
 
@@ -107,7 +108,7 @@ def _throughput(
 
 def _latency(arguments: argparse.Namespace, directory: Path, blocks: list[CsiBlock], best: float) -> Table:
     table = Table(
-        f"latency from producer to subscriber, {LATENCY_FRAMES} frames a message, 5 ms linger",
+        f"latency from producer to subscriber, {LATENCY_FRAMES} frames a message",
         ["frames/s", "of full speed", "p50 ms", "p99 ms", "p99.9 ms", "dropped"],
     )
     rates = [share * best for share in SHARES] + list(arguments.rate)
@@ -132,11 +133,11 @@ def _measure_latency(
         push = context.socket(zmq.PUSH)
         push.sndhwm, push.linger = 4, 0
         push.connect(endpoint)
-        stop = threading.Event()
-        listener = threading.Thread(target=_listen, args=(f"ipc://{directory}/charts", stop, lags))
+        heard, stop = threading.Event(), threading.Event()
+        listener = threading.Thread(target=_listen, args=(f"ipc://{directory}/charts", heard, stop, lags))
         listener.start()
         try:
-            _send(push, blocks, rate)
+            _send(push, blocks, rate, heard)
         finally:
             stop.set()
             listener.join()
@@ -145,10 +146,13 @@ def _measure_latency(
     return np.concatenate(lags), sum(outcome.summary["dropped"].values())
 
 
-def _send(push: zmq.Socket[bytes], blocks: list[CsiBlock], rate: float) -> None:
-    """Send blocks at `rate` frames/s for `WARM_UP_S` + `LATENCY_S` after the node has begun to take them."""
+def _send(push: zmq.Socket[bytes], blocks: list[CsiBlock], rate: float, heard: threading.Event) -> None:
+    """Send blocks at `rate` frames/s for `WARM_UP_S` + `LATENCY_S` after the first estimate was `heard`."""
     pieces = _pieces(blocks)
-    push.send_multipart(next(pieces))
+    deadline = time.monotonic() + START_WITHIN_S
+    while not heard.is_set() and time.monotonic() < deadline:
+        push.send_multipart(next(pieces))
+        heard.wait(LISTEN_S)
     start, sent = time.perf_counter(), 0
     while (now := time.perf_counter() - start) < WARM_UP_S + LATENCY_S:
         ahead = sent / rate - now
@@ -176,7 +180,7 @@ def _pieces(blocks: list[CsiBlock]) -> Iterator[list[bytes | memoryview]]:
             yield [msgpack.packb(header), csi]
 
 
-def _listen(endpoint: str, stop: threading.Event, lags: list[Seconds]) -> None:
+def _listen(endpoint: str, heard: threading.Event, stop: threading.Event, lags: list[Seconds]) -> None:
     begin: float | None = None
     with subscribe(endpoint, timeout=LISTEN_S) as charts:
         while not stop.is_set():
@@ -185,6 +189,7 @@ def _listen(endpoint: str, stop: threading.Event, lags: list[Seconds]) -> None:
             except TimeoutError:
                 continue
             now = time.time_ns()
+            heard.set()
             begin = begin or time.monotonic()
             if time.monotonic() - begin > WARM_UP_S:
                 lags.append((now - update.time_ns) / 1e9)

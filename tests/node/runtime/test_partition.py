@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -30,10 +29,11 @@ def numbers(block: CsiBlock) -> NDArray[np.int64]:
 
 
 def run(partitioner: Partitioner, blocks: list[CsiBlock]) -> list[ShardBlock]:
-    blocks_out = [
-        out for now, block in enumerate(blocks) for out in partitioner.add(block, float(now), numbers(block))
+    return [
+        out
+        for now, block in enumerate(blocks)
+        for out in partitioner.parts(block, float(now), numbers(block))
     ]
-    return blocks_out + partitioner.flush()
 
 
 @given(sizes=Sizes, shards=st.integers(1, 5), block_frames=st.integers(1, 40))
@@ -41,7 +41,7 @@ def test_every_frame_leaves_once_in_the_order_of_its_ue(
     sizes: list[int], shards: int, block_frames: int
 ) -> None:
     blocks = make_blocks(sizes)
-    blocks_out = run(Partitioner(shards, block_frames, 1e9), blocks)
+    blocks_out = run(Partitioner(shards, block_frames), blocks)
     everything = CsiBlock.concatenate(blocks)
     assert sorted(n for p in blocks_out for n in p.block.time_ns.tolist()) == everything.time_ns.tolist()
     for out in blocks_out:
@@ -55,25 +55,22 @@ def test_every_frame_leaves_once_in_the_order_of_its_ue(
 
 def test_one_shard_passes_blocks_through_without_a_copy() -> None:
     [block] = make_blocks([128])
-    blocks_out = Partitioner(1, 64, 1.0).add(block, 0.0, numbers(block))
+    blocks_out = list(Partitioner(1, 64).parts(block, 0.0, numbers(block)))
     assert [len(p.block) for p in blocks_out] == [64, 64]
     assert all(np.shares_memory(p.block.csi, block.csi) for p in blocks_out)
     assert [p.block.seq for p in blocks_out] == [0, 64]
 
 
-def test_a_block_that_waited_long_enough_is_due() -> None:
-    partitioner = Partitioner(1, 64, linger_s=0.005)
-    first, second = make_blocks([10, 5])
-    assert partitioner.deadline() is None
-    assert partitioner.add(first, 1.0, numbers(first)) == []
-    assert partitioner.add(second, 1.004, numbers(second)) == []
-    assert partitioner.deadline() == pytest.approx(1.005)
-    assert partitioner.due(1.0049) == []
-    [out] = partitioner.due(1.005)
-    assert len(out.block) == 15
-    assert out.arrivals == ((1.0, 10), (1.004, 5))
-    assert partitioner.deadline() is None
-    assert partitioner.flush() == []
+def test_parts_that_follow_each_other_are_joined() -> None:
+    partitioner = Partitioner(1, 64)
+    first, second = (
+        next(partitioner.parts(block, now, numbers(block)))
+        for block, now in zip(make_blocks([10, 5]), (1.0, 1.004), strict=True)
+    )
+    joined = ShardBlock.joined([first, second])
+    assert (len(joined.block), joined.start, joined.end) == (15, 0, 15)
+    assert joined.arrivals == ((1.0, 10), (1.004, 5))
+    assert ShardBlock.joined([first]) is first
 
 
 def test_shards_are_stable_and_even() -> None:

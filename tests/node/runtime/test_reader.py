@@ -65,7 +65,7 @@ def read(
 ) -> tuple[Reader, list[CsiBlock]]:
     """The reader at its end, and what it passed on, by shard."""
     queues = ShardQueues([ShardQueue(1000, 1000, lossless) for _ in range(shards)], lossless, lambda: None)
-    reader = Reader(Listed(given, lossless), Partitioner(shards, 7, 1.0), queues, **options)
+    reader = Reader(Listed(given, lossless), Partitioner(shards, 7), queues, **options)
     prepare(reader)
     reader.start()
     reader.join(30.0)

@@ -10,8 +10,9 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
+from chachart.node.runtime.entries import Entry
 from chachart.node.runtime.partition import ShardBlock
-from chachart.node.runtime.shard_queue import MAX_DEATHS, READ_AGAIN_BYTES, Entry, ShardQueue
+from chachart.node.runtime.shard_queue import MAX_DEATHS, READ_AGAIN_BYTES, ShardQueue
 
 METHOD = ("bartlett", "bartlett")
 
@@ -46,6 +47,54 @@ def test_live_queue_drops_its_oldest() -> None:
         queue.put(shard_block(3, n))
     assert queue.dropped.as_dict() == {"queue_full": 6}
     assert numbers(take_all(queue)) == [2]
+
+
+def arriving(number: int, now: float, frames: int = 1) -> ShardBlock:
+    return replace(shard_block(frames, number), arrivals=((now, frames),))
+
+
+def test_an_idle_worker_gets_what_is_there_at_once() -> None:
+    queue = ShardQueue(capacity=8, credit=8, lossless=True, block_frames=64, linger_s=1.0)
+    for n in range(3):
+        queue.put(arriving(n, now=0.0))
+    assert queue.deadline() is None
+    [entry] = take_all(queue)
+    assert (len(entry.content.block), entry.content.start, entry.content.end) == (3, 0, 3)
+
+
+def test_what_a_busy_worker_does_not_need_yet_grows_until_it_is_whole_or_has_waited() -> None:
+    queue = ShardQueue(capacity=8, credit=8, lossless=True, block_frames=4, linger_s=1.0)
+    queue.put(arriving(0, now=0.0))
+    take_all(queue)
+    assert queue.put(arriving(1, now=5.0))
+    assert not queue.put(arriving(2, now=5.5))
+    assert queue.next_to_send(METHOD, now=5.9) is None
+    assert queue.deadline() == 6.0
+    waited = queue.next_to_send(METHOD, now=6.0)
+    assert waited is not None
+    assert len(waited.content.block) == 2
+    assert queue.put(arriving(3, now=6.0, frames=3))
+    assert queue.put(arriving(6, now=6.0)), "it is whole"
+    whole = queue.next_to_send(METHOD, now=6.0)
+    assert whole is not None
+    assert len(whole.content.block) == 4
+
+
+def test_blocks_of_two_arrays_are_not_joined() -> None:
+    queue = ShardQueue(capacity=8, credit=8, lossless=True, block_frames=64, linger_s=1.0)
+    there = arriving(0, now=0.0)
+    queue.put(there)
+    queue.put(replace(there, block=replace(there.block, array="roof"), start=1, end=2))
+    assert [entry.content.block.array for entry in take_all(queue)] == ["lab"]
+    assert queue.deadline() == 1.0
+
+
+def test_a_full_live_queue_drops_the_block_that_has_grown() -> None:
+    queue = ShardQueue(capacity=2, credit=1, lossless=False, block_frames=2)
+    for n in range(5):
+        queue.put(arriving(n, now=0.0))
+    assert queue.dropped.as_dict() == {"queue_full": 2}
+    assert (queue.frames_held, queue.unsent_from) == (3, 2)
 
 
 def estimate(queue: ShardQueue, entries: list[Entry]) -> int:
@@ -203,10 +252,12 @@ class State:
 class QueueMachine(RuleBasedStateMachine):
     """Whatever happens, every frame that was put is estimated, dropped or held, and no other."""
 
-    @initialize(lossless=st.booleans(), retain_bytes=st.sampled_from([0, 100, 10_000]))
-    def start(self, lossless: bool, retain_bytes: int) -> None:
+    @initialize(
+        lossless=st.booleans(), retain_bytes=st.sampled_from([0, 100, 10_000]), block_frames=st.integers(1, 9)
+    )
+    def start(self, lossless: bool, retain_bytes: int, block_frames: int) -> None:
         self.lossless = lossless
-        self.queue = ShardQueue(capacity=4, credit=3, lossless=lossless, retain_bytes=retain_bytes)
+        self.queue = ShardQueue(4, 3, lossless, retain_bytes, block_frames)
         self.frames = 0
         self.state = State()
         self.snapshots = [State()]
