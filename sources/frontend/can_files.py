@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import struct
 import zlib
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, BinaryIO, cast
 
@@ -19,6 +21,11 @@ SUFFIXES = (".blf", ".asc", ".log")
 _OBJECT = b"LOBJ"
 """What each object of a .blf file begins with."""
 _STAMP = re.compile(r"(\s*)(\d+(?:\.\d+)?)(?=\s)")
+_CANDUMP = re.compile(r"(\s*\()(\d+\.\d+)(?=\))")
+_AHEAD = 256
+"""Lines of a candump log that decide whether its stamps are differences."""
+_SINCE_1970_S = 1e8
+"""Absolute stamps of a real bus are larger."""
 _RELATIVE = re.compile(r"base\s+(hex|dec)\s+timestamps\s+relative", re.IGNORECASE)
 
 
@@ -48,7 +55,7 @@ def messages(path: Path, file: IO[Any], rejected: Counters) -> Iterator[can.Mess
     suffix = path.suffix.lower()
     if suffix == ".blf":
         return _objects(can.BLFReader(cast(BinaryIO, file)), file, rejected)
-    lines = _Lines(file)
+    lines = _Lines(file, candump=suffix == ".log")
     reader: Any = can.ASCReader if suffix == ".asc" else can.CanutilsLogReader
     made = reader(lines, relative_timestamp=False) if suffix == ".asc" else reader(lines)
     return _of_lines(made, lines, rejected)
@@ -97,13 +104,18 @@ def _found(file: IO[bytes]) -> bool:
 
 
 class _Lines:
-    """A text file for python-can, whose stamps are absolute although the file says that they are relative."""
+    """A text file for python-can, whose stamps are absolute where the file has differences.
 
-    def __init__(self, file: IO[str]) -> None:
+    An .asc file says so; of candump's (`-t d`) the stamps tell, since they do not grow.
+    """
+
+    def __init__(self, file: IO[str], candump: bool) -> None:
         self._file = file
         self._pushed: list[str] = []
-        self._relative = False
         self._total_s = 0.0
+        self._stamp = _CANDUMP if candump else _STAMP
+        self._ahead = deque(itertools.islice(file, _AHEAD)) if candump else deque[str]()
+        self._relative = candump and _are_differences(self._ahead)
 
     def __iter__(self) -> Iterator[str]:
         return self
@@ -111,10 +123,10 @@ class _Lines:
     def __next__(self) -> str:
         if self._pushed:
             return self._pushed.pop()
-        line = next(self._file)
+        line = self._ahead.popleft() if self._ahead else next(self._file)
         if _RELATIVE.match(line.strip()):
             self._relative = True
-        elif self._relative and (stamp := _STAMP.match(line)):
+        elif self._relative and (stamp := self._stamp.match(line)):
             self._total_s += float(stamp[2])
             line = f"{stamp[1]}{self._total_s:.6f}{line[stamp.end() :]}"
         return line
@@ -134,3 +146,13 @@ class _Lines:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+def _are_differences(lines: Iterable[str]) -> bool:
+    """Whether the stamps of these lines are each since the one before: they go up and down, or stay."""
+    stamps = [float(stamp[2]) for line in lines if (stamp := _CANDUMP.match(line))]
+    if len(stamps) < 3 or max(stamps) > _SINCE_1970_S:
+        return False
+    back = sum(later < earlier for earlier, later in itertools.pairwise(stamps))
+    same = sum(later == earlier for earlier, later in itertools.pairwise(stamps[1:]))
+    return 10 * back > len(stamps) or (2 * same > len(stamps) and stamps[0] < stamps[-1] == max(stamps))

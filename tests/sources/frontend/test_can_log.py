@@ -12,6 +12,7 @@ from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
 from chachart.sources.base import EndOfSource
 from chachart.sources.frontend.can import CanSettings, CanSource
+from chachart.sources.frontend.can_files import _are_differences
 from chachart.sources.frontend.can_log import CanLog, CanLogSettings
 from chachart.sources.frontend.packet import Heartbeat, encode
 
@@ -171,6 +172,36 @@ def test_stamps_that_are_relative_to_the_one_before(tmp_path):
     path.write_text("\n".join(lines) + "\n")
     _, relative = replay(path)
     np.testing.assert_allclose(relative.time_ns, absolute.time_ns, atol=50_000)
+
+
+@pytest.mark.parametrize("zero_based", [True, False])
+def test_stamps_of_candump_that_begin_at_zero_or_are_differences(tmp_path, zero_based):
+    path = record(tmp_path / "bus.log", 40)
+    _, absolute = replay(path)
+    lines = path.read_text().splitlines()
+    first = before = float(lines[0].split(")")[0].strip("( "))
+    for n, line in enumerate(lines):
+        head, _, rest = line.partition(")")
+        stamp = float(head.strip("( "))
+        lines[n] = f"({stamp - (first if zero_based else before):017.6f}){rest}"
+        before = stamp
+    path.write_text("\n".join(lines) + "\n")
+    _, told = replay(path)
+    np.testing.assert_allclose(np.diff(told.time_ns), np.diff(absolute.time_ns), atol=50_000)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "differences"),
+    [
+        ([0.0, 0.001, 0.001, 0.001, 0.001, 0.001], True),
+        ([0.0, 0.003, 0.001, 0.002, 0.001, 0.004], True),
+        ([0.0, 0.001, 0.002, 0.003, 0.004, 0.005], False),
+        ([1.6e9, 1.6e9, 1.6e9, 1.6e9], False),
+        ([0.0, 0.5], False),
+    ],
+)
+def test_which_stamps_are_differences(stamps, differences):
+    assert _are_differences(f"({stamp:017.6f}) can0 123#00" for stamp in stamps) == differences
 
 
 @pytest.fixture(scope="module")
