@@ -16,6 +16,7 @@ from typing import Any
 BENCHMARKS = {
     "kernels": "each estimator, and each pair of estimators, beside a textbook implementation",
     "arrays": "boards, circles and elements in space: speed, and errors over the Cramér-Rao bound",
+    "fusion": "positions a second from four boards round a hall",
     "pipeline": "a whole node: frames a second, latency, processor time, memory",
     "quality": "trustworthiness and continuity, exact and sampled, beside scikit-learn",
     "frontends": "packet decoders, and whole serial and CAN links, with damage and without",

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -145,14 +146,23 @@ class BlockProcessor:
 
     def process(self, block: CsiBlock, theta: str, rho: str) -> Outcome:
         """Estimate with these methods: one row for each UE of which a frame could be used."""
-        self.clock.see(int(block.time_ns.max()))
+        return self.process_all([block], theta, rho)
+
+    def process_all(self, blocks: Sequence[CsiBlock], theta: str, rho: str) -> Outcome:
+        """As `process`, of blocks of which those of one array follow each other."""
+        frames = sum(map(len, blocks))
+        self.clock.see(max(int(block.time_ns.max()) for block in blocks))
         try:
             self.set_method(theta, rho)
-            update = self._estimator.update(block)
+            runs = [CsiBlock.concatenate(list(run)) for _, run in groupby(blocks, lambda block: block.array)]
+            if isinstance(self._estimator, FusedEstimator):
+                update = self._estimator.update_all(runs)
+            else:
+                update = self._estimator.update(CsiBlock.concatenate(list(blocks)))
         except Exception:
-            log.exception("a block of %d frames could not be estimated", len(block))
+            log.exception("a block of %d frames could not be estimated", frames)
             dropped = self._newly_rejected()
-            dropped["estimation_failed"] = len(block) - sum(dropped.values())
+            dropped["estimation_failed"] = frames - sum(dropped.values())
             return Outcome(None, 0, dropped)
         dropped = self._newly_rejected()
         if untrained := dropped.pop("untrained", 0):
@@ -161,7 +171,7 @@ class BlockProcessor:
             self.untrained += untrained
         if len(update):
             self._rows.add(update)
-        return Outcome(update if len(update) else None, len(block) - sum(dropped.values()), dropped)
+        return Outcome(update if len(update) else None, frames - sum(dropped.values()), dropped)
 
     def start_over(self) -> None:
         """Let go of all UEs: the source has jumped in time."""

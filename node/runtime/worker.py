@@ -122,7 +122,7 @@ class Worker:
             header, block = messages.unpack(message[1][0]), decode_csi(message[1][1:])
             frames, size = frames + len(block), size + block.csi.nbytes
             alike = all(header[key] == first[key] for key in ("method", "round", "again"))
-            alike &= block.array == blocks[0].array
+            alike &= self._several is not None or block.array == blocks[0].array
             if frames > self._merge_frames or size > MERGE_BYTES or not alike:
                 break
             headers.append(header)
@@ -131,7 +131,7 @@ class Worker:
         if first["round"] != self._done.round:
             self._done.round = first["round"]
             self._processor.start_over()
-        outcome = self._processor.process(CsiBlock.concatenate(blocks), *first["method"])
+        outcome = self._processor.process_all(blocks, *first["method"])
         for header in headers:
             self._count_block(header)
         self._done.estimated += outcome.estimated

@@ -16,6 +16,8 @@ Singles = NDArray[np.float32]
 LEVELS = 3
 """Finer grids, each of half the step before."""
 NEWTON_STEPS = 8
+SETTLED = 1e-4
+"""Newton's method ends when no top moves by more than this part of the coarse step."""
 STENCIL = 1 / 16
 """Newton's derivatives are differences over this part of the coarse step."""
 
@@ -81,6 +83,8 @@ class Climb:
             slope = np.where(better[..., None], there[1], slope)
             curvature = np.where(better[..., None, None], there[2], curvature)
             radius = np.where(better, 2 * radius, radius / 4)
+            if not (better & (np.linalg.norm(move, axis=2) > SETTLED * self._step)).any():
+                break
         return at, score, curvature
 
     def _look(self, view: Scores, start: Floats, at: Floats, delta: float) -> tuple[Floats, Floats, Floats]:

@@ -22,7 +22,7 @@ from chachart.node.estimation.fusion.events import Events, Gathering
 from chachart.node.estimation.fusion.fuser import Clock, Fuser
 from chachart.node.estimation.fusion.looks import Looks
 from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
-from chachart.node.estimation.fusion.receiver import Receiver
+from chachart.node.estimation.fusion.receiver import Receiver, usable
 from chachart.node.estimation.fusion.sighted import sightings, single_sightings
 from chachart.node.estimation.fusion.single import SingleArray
 from chachart.node.estimation.fusion.watch import ArrayWatch
@@ -37,7 +37,6 @@ from chachart.node.estimation.tracking.tracker import Tracked, Tracker
 METHOD: Final = Method(FUSION, FUSION)
 ECHOES_SHARE = 0.25
 """Part of a fused position's covariance that stays however many follow: echoes shift them all alike."""
-LEAST_ENERGY, MOST_ENERGY = 1e-28, 1e28
 
 
 class FusedEstimator:
@@ -128,28 +127,37 @@ class FusedEstimator:
         """
         return self.newest(self.every(block))
 
+    def update_all(self, blocks: Sequence[CsiBlock]) -> ChartUpdate:
+        """As `update`, of blocks of several arrays: what they complete is located at once."""
+        for block in blocks:
+            self._take(block)
+        return self.newest(self._every())
+
     def flush(self) -> ChartUpdate:
         """Rows of what still waits for arrays: no frame comes any more."""
         return self.newest(self._every(everything=True))
 
     def every(self, block: CsiBlock | None) -> list[ChartUpdate]:
         """As `update`, but all rows of a UE: one update for each of its transmissions; None flushes."""
-        if block is None:
-            return list(self._every(everything=True))
+        if block is not None:
+            self._take(block)
+        return list(self._every(everything=block is None))
+
+    def _take(self, block: CsiBlock) -> None:
+        """Put the good frames of a block to those that wait."""
         if (number := self._number.get(block.array)) is None:
             self.rejected.add("unknown_array", len(block))
-            return []
+            return
         receiver = self._receivers[number]
         if block.csi.shape[1:] != (receiver.array.antennas, receiver.array.subcarriers):
             self.rejected.add("shape", len(block))
-            return []
-        good = self._good(block)
+            return
+        good = usable(block, self.rejected)
         if good is None:
-            return []
+            return
         self.heard.add(block.array, len(good))
         csi = good.csi if len(self.arrays) == 1 else receiver.prepared(good.csi)
         self._gathering.add(number, replace(good, csi=csi))
-        return list(self._every())
 
     def newest(self, updates: Sequence[ChartUpdate] | Iterator[ChartUpdate]) -> ChartUpdate:
         """The last row of each UE."""
@@ -236,22 +244,6 @@ class FusedEstimator:
             around = Area.around([receiver.site for receiver in self._receivers], level)
             box = (*around.low, *around.high)
         return Area(box[:2], box[2:], level, told.slope, told.heights_m, outline)
-
-    def _good(self, block: CsiBlock) -> CsiBlock | None:
-        flat = block.csi.reshape(len(block), -1)
-        with np.errstate(all="ignore"):
-            energy = np.einsum("ki,ki->k", flat.real, flat.real) + np.einsum("ki,ki->k", flat.imag, flat.imag)
-        good = (energy > LEAST_ENERGY) & (energy < MOST_ENERGY)
-        if good.all():
-            return block
-        for reason, which in (
-            ("zero", energy == 0),
-            ("not_finite", ~np.isfinite(energy)),
-            ("out_of_range", np.isfinite(energy) & (energy != 0) & ~good),
-        ):
-            if which.any():
-                self.rejected.add(reason, int(which.sum()))
-        return block.take(good) if good.any() else None
 
     def _every(self, everything: bool = False) -> Iterator[ChartUpdate]:
         """Updates of one transmission a UE each."""

@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from chachart.node.data.counters import Counters
+from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.fusion.site import Site
 
 Complex = NDArray[np.complex64]
 
+LEAST_ENERGY, MOST_ENERGY = 1e-28, 1e28
 MOST_TONES = 4096
 """An even grid under the tones is not made longer than this."""
 
@@ -71,3 +74,21 @@ class Receiver:
         even = np.zeros((len(csi), *self.shape), np.complex64)
         even[:, :, self._places] = csi
         return even
+
+
+def usable(block: CsiBlock, rejected: Counters) -> CsiBlock | None:
+    """The frames that hold something; others are counted, as `zero`, `not_finite` or `out_of_range`."""
+    flat = block.csi.reshape(len(block), -1)
+    with np.errstate(all="ignore"):
+        energy = np.einsum("ki,ki->k", flat.real, flat.real) + np.einsum("ki,ki->k", flat.imag, flat.imag)
+    good = (energy > LEAST_ENERGY) & (energy < MOST_ENERGY)
+    if good.all():
+        return block
+    for reason, which in (
+        ("zero", energy == 0),
+        ("not_finite", ~np.isfinite(energy)),
+        ("out_of_range", np.isfinite(energy) & (energy != 0) & ~good),
+    ):
+        if which.any():
+            rejected.add(reason, int(which.sum()))
+    return block.take(good) if good.any() else None

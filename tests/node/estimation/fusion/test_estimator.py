@@ -83,6 +83,17 @@ def test_a_row_comes_when_all_arrays_have_received_a_transmission(arrays: list[A
     assert estimator.heard.as_dict() == {"a": 3, "b": 3, "c": 3}
 
 
+def test_blocks_of_several_arrays_are_located_at_once(arrays: list[ArrayGeometry]) -> None:
+    one, other = FusedEstimator(arrays, AREA), FusedEstimator(arrays, AREA)
+    blocks = [_block(array, PLACES, 0) for array in arrays]
+    for block in blocks:
+        expected = one.update(block)
+    found = other.update_all(blocks)
+    np.testing.assert_array_equal(found.ue, expected.ue)
+    np.testing.assert_allclose(found.x, expected.x)
+    assert other.heard.as_dict() == one.heard.as_dict()
+
+
 def test_an_array_that_fails_delays_and_then_costs_its_share(arrays: list[ArrayGeometry]) -> None:
     estimator = FusedEstimator(arrays, AREA)
     found = []
