@@ -23,7 +23,7 @@ _POLICY = "; ".join(
         "frame-ancestors 'none'",
     )
 )
-_SECURITY = {
+SECURITY = {
     "Content-Security-Policy": _POLICY,
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
@@ -64,7 +64,7 @@ class Answer:
                 "Connection": "close",
                 "Content-Length": str(len(self.body)),
                 "Content-Type": self.content_type,
-                **_SECURITY,
+                **SECURITY,
                 **self.headers,
             }
         )

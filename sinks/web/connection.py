@@ -14,14 +14,19 @@ from websockets.asyncio.server import ServerConnection
 
 from chachart.node.net.limits import Refusals
 from chachart.node.net.security import Role
+from chachart.sinks.web.answers import Answer
 
 LONGEST_HEAD = 64 * 1024
 LONGEST_BODY = 16 * 1024
 _BODY_HEADER = re.compile(rb"^(content-length|transfer-encoding)[ \t]*:[ \t]*(.*?)[ \t]*\r?\n", re.I | re.M)
-_BUSY = (
-    b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nRetry-After: 5\r\n"
-    b"Content-Type: text/plain\r\nContent-Length: 21\r\n\r\ntoo many connections\n"
-)
+LONGEST_LINE, MOST_LINES = 8190, 128
+"""Of a head; the library ends a connection beyond, and says nothing to whoever sends no HTTP."""
+HEAR_OUT_S = 1.0
+_BUSY = Answer.text(503, "too many connections").with_headers(Retry_After="5")
+_TOO_LARGE = Answer.text(431, f"lines of at most {LONGEST_LINE} bytes, at most {MOST_LINES} of them")
+_NO_HTTP = Answer.text(400, "this is no HTTP request")
+_REQUEST = re.compile(rb"[A-Z]{1,16} [!-~]+ HTTP/1\.[01]")
+_HEADER = re.compile(rb"[!#$%&'*+\-.^_`|~0-9A-Za-z]+:[\t\x20-\x7e\x80-\xff]*")
 
 
 class Connections:
@@ -60,7 +65,7 @@ class WebConnection(ServerConnection):
         if self._connections.open >= self._connections.most:
             self._refused = True
             self._connections.refusals.add("too_many_connections")
-            cast(asyncio.Transport, transport).write(_BUSY)
+            cast(asyncio.Transport, transport).write(_BUSY.response().serialize())
             cast(asyncio.Transport, transport).close()
             return
         self._connections.open += 1
@@ -89,15 +94,29 @@ class WebConnection(ServerConnection):
         end = self._gathered.find(b"\r\n\r\n") + 4
         if end < 4:
             if len(self._gathered) > LONGEST_HEAD:
-                self._hand_on(bytes(self._gathered))  # the library says what is wrong with it
+                self._give_up(_TOO_LARGE)
             return
         head = bytes(self._gathered[:end])
+        if answer := _unreadable(head):
+            self._give_up(answer)
+            return
         length = self._body_length(head)
         if self.mistake is None and len(self._gathered) < end + length:
             return
         self.body = bytes(self._gathered[end : end + length])
         rest = b"" if self.mistake else bytes(self._gathered[end + length :])
         self._hand_on(_BODY_HEADER.sub(b"", head) + rest)
+
+    def _give_up(self, answer: Answer) -> None:
+        self._connections.refusals.add("no_request")
+        self._gathered, self.mistake = None, (answer.status, "")
+        self.transport.write(answer.response().serialize())
+        if self.transport.can_write_eof():
+            # To close while the other end still sends would take the answer from it.
+            self.transport.write_eof()
+            self.loop.call_later(HEAR_OUT_S, self.transport.close)
+        else:
+            self.transport.close()
 
     def _hand_on(self, data: bytes) -> None:
         self._gathered = None
@@ -119,3 +138,13 @@ class WebConnection(ServerConnection):
             self.mistake = 413, f"a body may have {LONGEST_BODY} bytes; arguments go into the query"
             return 0
         return int(value)
+
+
+def _unreadable(head: bytes) -> Answer | None:
+    """What to answer to a head that the library would not read."""
+    request, *headers = head.removesuffix(b"\r\n\r\n").split(b"\r\n")
+    if len(headers) > MOST_LINES or max(map(len, (request, *headers))) > LONGEST_LINE:
+        return _TOO_LARGE
+    if _REQUEST.fullmatch(request) and all(map(_HEADER.fullmatch, headers)):
+        return None
+    return _NO_HTTP

@@ -25,7 +25,7 @@ from chachart.node.data.errors import RequestError, SetupError
 from chachart.node.net.limits import RateLimit, Refusals
 from chachart.node.net.security import Role, SecuritySettings, Tokens
 from chachart.sinks.web.access import COOKIE, Access, Refusal
-from chachart.sinks.web.answers import HTML, JSON, Answer, Query, Route
+from chachart.sinks.web.answers import HTML, JSON, SECURITY, Answer, Query, Route
 from chachart.sinks.web.connection import Connections, WebConnection
 from chachart.sinks.web.settings import WebSettings, cannot_listen, ports
 
@@ -187,6 +187,7 @@ class WebServer:
                         type[ServerConnection], partial(WebConnection, connections=self._open)
                     ),
                     process_request=self._process,
+                    process_response=self._complete,
                     compression=None,
                     open_timeout=OPEN_WITHIN_S,
                     max_size=MAX_MESSAGE_BYTES,
@@ -206,6 +207,12 @@ class WebServer:
     async def _process(self, connection: ServerConnection, request: Request) -> Response | None:
         answer = await self._decide(cast(WebConnection, connection), request)
         return None if answer is None else answer.response(head=request.method == "HEAD")
+
+    async def _complete(self, connection: ServerConnection, request: Request, response: Response) -> Response:
+        """What the library answers itself, to who asks for a WebSocket wrongly, has our headers, too."""
+        for name, value in SECURITY.items():
+            response.headers.setdefault(name, value)
+        return response
 
     async def _decide(self, connection: WebConnection, request: Request) -> Answer | None:
         """The answer to a request, or None for one that becomes a WebSocket."""

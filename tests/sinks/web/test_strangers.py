@@ -16,8 +16,8 @@ from live_node import tool
 from chachart.node.data.errors import SetupError
 from chachart.node.net.limits import RateLimit
 from chachart.node.net.security import SecuritySettings, Tokens
-from chachart.sinks.web.answers import Answer, Query
-from chachart.sinks.web.connection import LONGEST_BODY
+from chachart.sinks.web.answers import SECURITY, Answer, Query
+from chachart.sinks.web.connection import LONGEST_BODY, WebConnection
 from chachart.sinks.web.server import WebServer
 from chachart.sinks.web.settings import WebSettings
 
@@ -198,6 +198,42 @@ def test_headers_that_keep_pages_apart(open_server: WebServer) -> None:
     assert headers["X-Content-Type-Options"] == "nosniff"
     for policy in ("Opener", "Resource"):
         assert headers[f"Cross-Origin-{policy}-Policy"] == "same-origin"
+
+
+GET = b"GET / HTTP/1.1\r\nHost: localhost\r\n"
+UPGRADE = GET.replace(b"/ ", b"/ws ", 1) + b"Upgrade: websocket\r\nConnection: Upgrade\r\n"
+
+
+@pytest.mark.parametrize(
+    ("data", "status"),
+    [
+        (b"GARBAGE\r\n\r\n", 400),
+        (b"get / HTTP/1.1\r\n\r\n", 400),
+        (b"GET / HTTP/2.0\r\n\r\n", 400),
+        (b"GET /\xff HTTP/1.1\r\n\r\n", 400),
+        (GET + b"no colon\r\n\r\n", 400),
+        (GET + b"X: \0\r\n\r\n", 400),
+        (GET + b"X: " + b"y" * 9000 + b"\r\n\r\n", 431),
+        (GET + b"X: y\r\n" * 200 + b"\r\n", 431),
+        (GET + b"X: y\r\n" * 20_000, 431),
+        (GET.replace(b"GET", b"BREW") + b"\r\n", 405),
+        (GET.replace(b"/ ", b"/../../etc/passwd ") + b"\r\n", 404),
+        (UPGRADE + b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: x\r\n\r\n", 400),
+        (GET.replace(b"/ ", b"/ws ") + b"\r\n", 426),
+    ],
+)
+def test_whatever_is_sent_has_an_answer_with_every_header(data: bytes, status: int) -> None:
+    async def leave(viewer: WebConnection) -> None:
+        await viewer.close()
+
+    made = WebServer(WebSettings.model_validate({"type": "web", "port": 0}), ROUTES, leave)
+    made.start()
+    head, _, body = raw(made, data).partition(b"\r\n\r\n")
+    made.stop()
+    assert head.startswith(f"HTTP/1.1 {status} ".encode()), head
+    assert body
+    for name in SECURITY:
+        assert f"\r\n{name}: ".encode() in head, name
 
 
 @pytest.mark.parametrize("origin", ["http://[", "null", "x", "http://evil.example"])
