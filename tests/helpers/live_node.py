@@ -51,6 +51,17 @@ def free_port() -> int:
         return port
 
 
+def other_address() -> str | None:
+    """An address of this machine that is not loopback."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))
+        except OSError:
+            return None
+        address: str = probe.getsockname()[0]
+        return address
+
+
 class LiveNode:
     """`chachart-node` on a small simulated world; its sinks are given as TOML."""
 

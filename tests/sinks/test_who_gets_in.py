@@ -1,6 +1,6 @@
 """Every operation, asked by everybody over every channel: who gets in, exactly.
 
-Keys are in tests/node/net/test_keys.py: there is no other way into a socket that needs them.
+Keys are in test_who_gets_in_with_keys.py: there is no other way into a socket that needs them.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import http.client
 import json
-import socket
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -20,6 +19,7 @@ import pytest
 import zmq
 from chart_samples import QUALITY, StillNode, some_chart
 from csi_samples import small_array
+from live_node import other_address
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
@@ -100,17 +100,6 @@ SETTINGS = {
     "tokens, local people trusted": SecuritySettings(token=STEER, read_token=READ, trust_local=True),
 }
 CASES = [(rules, who) for rules in TABLE for who in PEOPLE]
-
-
-def other_address() -> str | None:
-    """An address of this machine that is not loopback."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("192.0.2.1", 9))
-        except OSError:
-            return None
-        address: str = probe.getsockname()[0]
-        return address
 
 
 def opened(sink: Sink, rules: str) -> Sink:
