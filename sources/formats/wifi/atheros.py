@@ -31,6 +31,8 @@ _SENDER = slice(10, 16)
 _TRIED = 3
 """So many records decide which way the file is written."""
 _BLOCK = 256
+_FILLED = 8
+"""CSI is never longer than its values by so many bytes."""
 
 
 class _Way(NamedTuple):
@@ -94,7 +96,7 @@ def read(data: NDArray[np.uint8]) -> Log:
     counted = np.cumsum(~silent) - 1
     rows = np.flatnonzero(good)
     starts = found.starts[rows]
-    fields = {name: values[rows] for name, values in fields.items()}
+    fields = {name: values[rows] for name, values in (fields | {"length": found.lengths}).items()}
     columns, told = _columns(data, starts, fields)
     keys = [fields[n] for n in ("tones", "antennas", "streams")]
     channel = fields["channel"]
@@ -139,7 +141,8 @@ def _columns(
     data: NDArray[np.uint8], starts: NDArray[np.int64], fields: dict[str, NDArray[np.int64]]
 ) -> tuple[dict[str, NDArray[Any]], bool]:
     """What the headers say besides the shape, and whether packets say who sent them."""
-    told = fields["payload"] >= _SENDER.stop
+    there = np.minimum(fields["payload"], fields["length"] - _HEADER - fields["csi_bytes"])
+    told = there >= _SENDER.stop
     senders = np.zeros(len(starts), np.uint64)
     packet = starts[told] + _HEADER + fields["csi_bytes"][told]
     senders[told] = address(gather(data, packet + _SENDER.start, 6))
@@ -182,7 +185,9 @@ def _fits(fields: dict[str, NDArray[np.int64]], length: NDArray[np.int64]) -> ND
     sensible &= (antennas >= 1) & (antennas <= 3) & (sent >= 1) & (sent <= 3)
     needed = -(-count * antennas * sent * 20 // 8)
     fits: NDArray[np.bool_] = sensible & (fields["csi_bytes"] >= needed)
-    fits &= length == _HEADER + fields["csi_bytes"] + fields["payload"]
+    # Some forks cut the packet short; where nothing is cut, bytes may follow that fill up a word.
+    fits &= length >= _HEADER + fields["csi_bytes"]
+    fits &= fields["csi_bytes"] < needed + _FILLED
     return fits
 
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import pytest
 from wifi_captures import atheros, integers, packet_of, station
@@ -73,3 +75,16 @@ def test_packets_without_csi_are_told() -> None:
     silent[0] = 25
     log = log_of(atheros(CSI) + bytes(silent))
     assert (log.frames, log.remarks) == (5, ["1 packets without CSI"])
+
+
+def test_records_that_do_not_hold_the_whole_packet() -> None:
+    payload = packet_of(station(7)) + bytes(40)
+    one = len(atheros(CSI[:1], payload=payload))
+    records = [atheros(CSI[n : n + 1], payload=payload) for n in range(5)]
+    cut = [struct.pack("<H", one - 2 - 40) + record[2:-40] for record in records]
+    [group] = log_of(b"".join(cut)).groups
+    np.testing.assert_array_equal(group.csi, CSI.transpose(0, 2, 3, 1))
+    assert set(group.columns["ue"].tolist()) == {0x0200_0000_0007}
+    none = [struct.pack("<H", one - 2 - len(payload)) + record[2 : -len(payload)] for record in records]
+    [group] = log_of(b"".join(none)).groups
+    assert set(group.columns["ue"].tolist()) == {0}
