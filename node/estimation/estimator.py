@@ -14,13 +14,14 @@ from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.facts import CaptureFacts
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.estimation.auto import AutoLocator
 from chachart.node.estimation.covariance import Grouping
 from chachart.node.estimation.directions.joint import DirectionLocator
 from chachart.node.estimation.fit import misfits
 from chachart.node.estimation.joint import JointLocator
 from chachart.node.estimation.locator import Columns, Locator
 from chachart.node.estimation.memory import Copy, Memory
-from chachart.node.estimation.options import JOINT, NONE, Keywords, Options
+from chachart.node.estimation.options import AUTO, JOINT, NONE, Keywords, Options
 from chachart.node.estimation.separate import SeparateLocator
 from chachart.node.estimation.snapshots import SEEN, counted, joined
 from chachart.node.estimation.state import ROWS, Snapshot
@@ -266,8 +267,10 @@ class ChartEstimator:
     def _make_locator(self, options: Options) -> Locator:
         for name, problem in misfits(options, self.array):
             raise ValueError(f"{name} {problem}")
-        make: type[JointLocator | DirectionLocator | SeparateLocator] = SeparateLocator
-        if options.theta == JOINT:
+        make: type[AutoLocator | JointLocator | DirectionLocator | SeparateLocator] = SeparateLocator
+        if options.rho == AUTO:
+            make = AutoLocator
+        elif options.theta == JOINT:
             make = JointLocator if self.array.is_uniform else DirectionLocator
         return make(self.array, options)
 

@@ -9,7 +9,7 @@ import numpy as np
 from chachart.node.data.elements import lattice, partners
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.lattice import Lattice
-from chachart.node.estimation.options import JOINT, NONE, SPECTRAL, Options
+from chachart.node.estimation.options import AUTO, JOINT, NONE, SPECTRAL, Options
 
 MATRIX_LIMIT = 512
 """Methods that need the covariance itself keep N x N numbers a UE; beyond this size they are refused."""
@@ -29,6 +29,9 @@ def misfits(options: Options, array: ArrayGeometry) -> Iterator[tuple[str, str]]
         yield from _directions(options, array)
     if options.theta == JOINT:
         yield from _joint(antennas, tones)
+    elif options.rho == AUTO:
+        for _, problem in _joint(antennas, tones):
+            yield "rho", problem.replace(JOINT, AUTO, 1)
     for name, method, row, elements in (
         ("theta", options.theta, antennas, "antennas"),
         ("rho", options.rho, tones, "subcarriers"),
@@ -37,7 +40,7 @@ def misfits(options: Options, array: ArrayGeometry) -> Iterator[tuple[str, str]]
             yield from _axis(name, method, row.size, elements)
             if options.forward_backward and not row.symmetric:
                 yield "forward_backward", f"must be off: these {elements} are not their own mirror image"
-    if options.delay == "relative" and options.rho in (*SPECTRAL, JOINT):
+    if options.delay == "relative" and options.rho in (*SPECTRAL, JOINT, AUTO):
         yield (
             "rho",
             f'must be "none", "isq" or "lr": {options.rho} takes delays for distances, and those of this '

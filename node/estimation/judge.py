@@ -73,7 +73,8 @@ def probability(y: Floats) -> Floats:
 
 
 @lru_cache(maxsize=1)
-def _trained() -> dict[str, Any]:
+def shipped() -> dict[str, Any]:
+    """What the file holds, by the names of the networks."""
     content = pkgutil.get_data(__package__, FILE)
     trained: dict[str, Any] = json.loads(content or b"{}")
     return trained
@@ -81,7 +82,7 @@ def _trained() -> dict[str, Any]:
 
 @lru_cache(maxsize=32)
 def _judge(name: str) -> Judge:
-    return Judge(**{key: np.array(values, np.float64) for key, values in _trained()[name].items()})
+    return Judge(**{key: np.array(values, np.float64) for key, values in shipped()[name].items()})
 
 
 def judge(name: str, outputs: int) -> Callable[[Floats], Floats]:

@@ -14,6 +14,7 @@ from chachart.node.data.settings import Settings
 SPECTRAL: Final[tuple[SpectralMethod, ...]] = ("bartlett", "mvdr", "minnorm", "music")
 AMPLITUDE: Final[tuple[AmplitudeMethod, ...]] = ("isq", "lr")
 JOINT: Final = "joint"
+AUTO: Final = "auto"
 NONE: Final = "none"
 
 Averaging = Literal["mean", "exponential"]
@@ -28,10 +29,11 @@ class Options(Settings):
     """`[estimator]`: how theta and rho are estimated. The fields are ChartEstimator's keywords."""
 
     theta: ThetaMethod = "bartlett"
-    """Angle method. `joint` goes with rho = "joint" only; `none` charts distances alone, along broadside."""
+    """Angle method. `joint` goes with rho = "joint" or "auto" only; `none` charts distances alone, along
+    broadside."""
     rho: RhoMethod = "bartlett"
-    """Distance method: a spectral one across subcarriers, an amplitude one (isq, lr), or joint; `none` charts
-    directions alone, on a circle of radius 1."""
+    """Distance method: a spectral one across subcarriers, an amplitude one (isq, lr), joint, or `auto`, which
+    weighs delays, power and spreads; `none` charts directions alone, on a circle of radius 1."""
     averaging: Averaging = "exponential"
     """`mean` weighs all frames alike (UEs that stand still); `exponential` forgets (UEs that move)."""
     memory_frames: float = Field(32.0, ge=1)
@@ -123,7 +125,8 @@ class Options(Settings):
 
     @model_validator(mode="after")
     def _go_together(self) -> Options:
-        if (self.theta == JOINT) != (self.rho == JOINT):
+        jointly = (self.theta == JOINT, self.rho == JOINT)
+        if jointly[0] != jointly[1] and self.rho != AUTO:
             name, other = ("rho", "theta") if self.theta == JOINT else ("theta", "rho")
             self._refuse(name, f'must be "joint" as {other} is: the joint method estimates both at once')
         if self.theta == self.rho == NONE:

@@ -37,7 +37,7 @@ class SeparateLocator(Locator):
 
     def __init__(self, array: ArrayGeometry, options: Options) -> None:
         step = None if options.theta_step_deg is None else np.radians(options.theta_step_deg)
-        delay = DelayManifold.of(array, options.rho_max_m)
+        delay = self.delay = DelayManifold.of(array, options.rho_max_m)
         antennas = int(array.live_antennas.sum())
         self._array, self._weights = array, Weights(options.decay)
         self._elements = antennas * delay.size

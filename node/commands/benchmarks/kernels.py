@@ -37,6 +37,7 @@ PAIRS: tuple[tuple[ThetaMethod, RhoMethod], ...] = (
     ("bartlett", "music"),
     ("bartlett", "isq"),
     ("bartlett", "lr"),
+    ("bartlett", "auto"),
 )
 TEXTBOOK_UES = 96
 LITERAL_UES = 8

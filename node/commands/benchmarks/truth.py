@@ -46,6 +46,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4], help="(0 1 2 3 4)")
     parser.add_argument("--phase", choices=("auto", "steady", "random"), default="auto", help="(%(default)s)")
     parser.add_argument(
+        "--no-positions",
+        action="store_true",
+        help="let no UE's position be known, instead of the first 256's",
+    )
+    parser.add_argument(
         "--data", action="extend", nargs="+", type=data, default=[], metavar="CHANNEL=FILE.mcap",
         help="recorded channels; seeds are then of the noise",
     )  # fmt: skip
@@ -61,7 +66,9 @@ def run(arguments: argparse.Namespace) -> list[Table]:
             found: dict[Pair, list[Floats]] = {pair: [] for pair in arguments.pairs}
             for scene in _scenes(channel, recorded.get(channel), arguments, done):
                 for pair in arguments.pairs:
-                    chart, _ = runs.estimate(scene, pair, {"phase": arguments.phase})
+                    chart, _ = runs.estimate(
+                        scene, pair, {"phase": arguments.phase}, positions=not arguments.no_positions
+                    )
                     found[pair].append(judged(scene, chart))
             tables.append(_table(channel, arguments, found))
     return tables

@@ -97,14 +97,19 @@ def display(pair: Pair) -> str:
 
 
 def estimate(
-    scene: Scene, pair: Pair, options: Mapping[str, Any], *, random_training: bool = False
+    scene: Scene,
+    pair: Pair,
+    options: Mapping[str, Any],
+    *,
+    random_training: bool = False,
+    positions: bool = True,
 ) -> tuple[ChartUpdate, Spent]:
     """Chart all UEs; returns one row a UE, in order, and the time spent.
 
     The time covers everything from frames in memory to chart coordinates: the covariances of all frames,
     the spectra and the searches of both coordinates or what stands in their place, and making the estimator.
     """
-    blocks = list(scene.blocks(random_training=random_training))
+    blocks = list(scene.blocks(random_training=random_training, positions=positions))
     watch = Stopwatch()
     estimator = ChartEstimator(
         scene.array,

@@ -62,10 +62,11 @@ class Scene:
         """True chart coordinates (U, 2) in metres."""
         return np.stack(self.array.chart_of(self.position), axis=1)
 
-    def blocks(self, *, random_training: bool = False) -> Iterator[CsiBlock]:
+    def blocks(self, *, random_training: bool = False, positions: bool = True) -> Iterator[CsiBlock]:
         """All frames, those of a UE together, so that each UE is estimated once.
 
-        Only the first block's positions are known: those of the first UEs, or of UEs drawn at random.
+        Only the first block's positions are known: those of the first UEs, or of UEs drawn at random; without
+        `positions`, none.
         """
         order = np.arange(len(self.csi))
         if random_training:
@@ -75,7 +76,8 @@ class Scene:
         for start, end in zip([0, *ends], ends, strict=False):
             ues = order[start:end]
             csi = self.csi[ues] if random_training else self.csi[start:end]
-            position = self.position[ues] if start == 0 else np.full((len(ues), 3), np.nan)
+            known = positions and start == 0
+            position = self.position[ues] if known else np.full((len(ues), 3), np.nan)
             yield CsiBlock(
                 self.array.name,
                 start * frames,

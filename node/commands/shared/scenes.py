@@ -23,7 +23,7 @@ def pairs(text: str) -> tuple[tuple[str, str], ...]:
     for word in text.lower().split(","):
         theta, _, rho = word.partition("/")
         known = theta in get_args(ThetaMethod) and rho in get_args(RhoMethod)
-        if not known or (theta == "joint") != (rho == "joint"):
+        if not known or ((theta == "joint") != (rho == "joint") and rho != "auto"):
             raise argparse.ArgumentTypeError(f'"{word}" is no pair such as bartlett/music or joint/joint')
         found.append((theta, rho))
     return tuple(dict.fromkeys(found))

@@ -29,6 +29,11 @@ SNRS_DB: Final = (-10.0, -5.0, 0.0, 0.0, 0.0, 10.0, 20.0)
 FRAMES: Final = (1, 4, 10)
 BLOCK_UES: Final = 64
 METHODS: Final = (*SPECTRAL, JOINT)
+RANGE_BANDWIDTHS_HZ: Final = (312.5e3, 312.5e3, 312.5e3, 312.5e3, 1e6, 1e6, 3e6, 3e6, 10e6, 10e6)
+"""For networks that correct ranges: most is to be won where the band is narrow."""
+RANGE_SIZES: Final = ((32, 32), (32, 32), (32, 32), (32, 32), (8, 32), (16, 16), (32, 4), (32, 10), (16, 64))
+FARTHEST_M: Final = 720.0
+"""UEs are up to so far away: ranges that repeat earlier cannot be told."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,15 +61,21 @@ class Draw:
         return angle, a.light_speed_m_s / (a.subcarriers * a.subcarrier_spacing_hz)
 
 
-def drawn(count: int, ues: int, seed: int) -> Iterator[Draw]:
+def drawn(
+    count: int,
+    ues: int,
+    seed: int,
+    sizes: tuple[tuple[int, int], ...] = SIZES,
+    bandwidths_hz: tuple[float, ...] = BANDWIDTHS_HZ,
+) -> Iterator[Draw]:
     """`count` worlds, each with arrays, bands, SNR and channels drawn at random."""
     rng = np.random.default_rng([seed, 7])
     for n in range(count):
-        antennas, subcarriers = SIZES[rng.integers(len(SIZES))]
+        antennas, subcarriers = sizes[rng.integers(len(sizes))]
         array = ArraySettings(
             antennas=antennas,
             subcarriers=subcarriers,
-            subcarrier_spacing_hz=float(rng.choice(BANDWIDTHS_HZ)) / subcarriers,
+            subcarrier_spacing_hz=float(rng.choice(bandwidths_hz)) / subcarriers,
         ).geometry()
         channel = CHANNELS[rng.choice(len(CHANNELS), p=[SHARE[name] for name in CHANNELS])]
         yield Draw(channel, array, float(rng.choice(SNRS_DB)), int(rng.choice(FRAMES)), ues, 1000 * seed + n)

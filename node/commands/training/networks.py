@@ -20,12 +20,12 @@ STEPS = 200
 DECAY = 1e-4
 
 
-def fitted(evidence: Floats, loss: Loss, outputs: int, seed: int) -> Judge:
+def fitted(evidence: Floats, loss: Loss, outputs: int, seed: int, hidden: int = HIDDEN) -> Judge:
     """The network (F inputs, `outputs`) of least loss on evidence (U, F), by L-BFGS from a random start."""
     mean, scale = evidence.mean(axis=0), evidence.std(axis=0) + 1e-3
     x = np.clip((evidence - mean) / scale, -FARTHEST, FARTHEST)
     rng = np.random.default_rng(seed)
-    shapes = [(x.shape[1], HIDDEN), (HIDDEN,), (HIDDEN, outputs), (outputs,)]
+    shapes = [(x.shape[1], hidden), (hidden,), (hidden, outputs), (outputs,)]
     ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
     start = np.zeros(ends[-1])
     start[: ends[0]] = rng.standard_normal(ends[0]) / np.sqrt(x.shape[1])
@@ -37,10 +37,10 @@ def fitted(evidence: Floats, loss: Loss, outputs: int, seed: int) -> Judge:
 
     def objective(w: Floats) -> tuple[float, Floats]:
         a, b, c, d = parts(w)
-        hidden = np.tanh(x @ a + b)
-        value, slope = loss(hidden @ c + d)
-        back = (slope @ c.T) * (1 - hidden * hidden)
-        gradient = [x.T @ back, back.sum(axis=0), hidden.T @ slope, slope.sum(axis=0)]
+        layer = np.tanh(x @ a + b)
+        value, slope = loss(layer @ c + d)
+        back = (slope @ c.T) * (1 - layer * layer)
+        gradient = [x.T @ back, back.sum(axis=0), layer.T @ slope, slope.sum(axis=0)]
         value += DECAY * float((a * a).sum() + (c * c).sum())
         gradient[0], gradient[2] = gradient[0] + 2 * DECAY * a, gradient[2] + 2 * DECAY * c
         return value, np.concatenate([g.ravel() for g in gradient])

@@ -280,12 +280,12 @@ function cycle(id) {
   say(`${id}: ${select.value}`);
 }
 
-/** The two choices go together: the joint method is one for both. */
+/** The two choices go together: the joint method is one for both; auto goes with any theta. */
 async function changeMethod(changed) {
   const other = changed === 'theta' ? 'rho' : 'theta';
   const chosen = { theta: $('theta').value, rho: $('rho').value };
-  if (chosen[changed] === 'joint') chosen[other] = 'joint';
-  else if (chosen[other] === 'joint') chosen[other] = chosen[changed] === 'isq' || chosen[changed] === 'lr' ? 'bartlett' : chosen[changed];
+  if (chosen.rho !== 'auto' && chosen[changed] === 'joint') chosen[other] = 'joint';
+  else if (chosen.rho !== 'auto' && chosen[other] === 'joint') chosen[other] = chosen[changed] === 'isq' || chosen[changed] === 'lr' ? 'bartlett' : chosen[changed];
   try {
     await stream.ask('method', chosen);
     Object.assign($(other), { value: chosen[other] });
