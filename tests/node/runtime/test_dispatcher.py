@@ -123,7 +123,8 @@ def block(worker: zmq.Socket[bytes]) -> tuple[dict[str, Any], CsiBlock]:
 
 
 def acknowledge(worker: zmq.Socket[bytes], header: dict[str, Any], frames: int) -> None:
-    answer = {"seqs": [header["seq"]], "estimated": frames, "dropped": {}, "ues": 1, "arrays": [], "counters": {}}
+    answer = {"seqs": [header["seq"]], "estimated": frames, "dropped": {}, "ues": 1}
+    answer |= {"arrays": [], "counters": {}}
     worker.send_multipart([messages.DONE, messages.pack(answer), b""])
 
 
