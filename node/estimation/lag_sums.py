@@ -65,6 +65,8 @@ class LagSums:
         if self.lattice.sparse:
             return self.of(np.matmul(x, x.conj().swapaxes(1, 2)))
         n = self.lattice.span
+        if x.shape[2] > FEW and n < REAL_LEAST:
+            return self.of(np.matmul(x, x.conj().swapaxes(1, 2)))
         x = self.lattice.spread_out(x, 1)
         if n > MATMUL_LIMIT:
             points = fft.next_fast_len(2 * n)
@@ -74,8 +76,6 @@ class LagSums:
             )
         if x.shape[2] <= FEW:
             return self._of_beams(x)
-        if n < REAL_LEAST:
-            return self.of(np.matmul(x, x.conj().swapaxes(1, 2)))
         c = np.empty((len(x), n), x.dtype)
         room = self._room(x.dtype)
         step = max(min(room.count, _SCRATCH_BYTES // (2 * n * x.shape[2] * x.itemsize)), 1)

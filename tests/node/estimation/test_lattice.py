@@ -76,3 +76,20 @@ def test_noise_floor_of_a_path_and_noise(places: tuple[int, ...]) -> None:
     c = LagSums(lattice).of_products(x) / (m * n)
     power = NoiseFloor(lattice).power(c, np.full(ues, float(m)))
     assert np.median(power) == pytest.approx(1, rel=0.35)
+
+
+@pytest.mark.parametrize("columns", [1, 4, 5, 8, 40])
+@pytest.mark.parametrize(
+    "places", [[0, 1, 2, 4, 5, 6, 7], [0, 1, 3, 4], [*range(8), *range(9, 20)], [*range(70), 71]]
+)
+def test_products_of_rows_with_gaps_have_the_lags_of_their_matrices(places: list[int], columns: int) -> None:
+    rng = np.random.default_rng(columns)
+    x = rng.standard_normal((3, len(places), columns)) + 1j * rng.standard_normal((3, len(places), columns))
+    sums = LagSums(Lattice.of(np.array(places))[0])
+    q = x @ x.conj().swapaxes(1, 2)
+    truth = np.zeros((3, places[-1] + 1), complex)
+    for m, first in enumerate(places):
+        for n, second in enumerate(places):
+            if second >= first:
+                truth[:, second - first] += q[:, m, n] * (1 if m == n else 2)
+    np.testing.assert_allclose(sums.of_products(x)[:, : places[-1] + 1], truth, atol=1e-9)
