@@ -14,7 +14,7 @@ from pydantic import Field
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
-from chachart.node.net.doorkeeper import Doorkeeper, key_problems
+from chachart.node.net.doorkeeper import CUT_OFF, Doorkeeper, key_problems
 from chachart.node.net.endpoints import Endpoint, bind, bind_problems, fixed
 from chachart.node.net.limits import Refusals
 from chachart.node.net.security import SecuritySettings, endpoint_exposure
@@ -29,7 +29,7 @@ LEAST_MESSAGE_BYTES = 16 * 1024 * 1024
 FITTING_FRAMES = 64
 """So many frames of the array fit into a message, whatever the array."""
 HARD_LIMIT = 4
-"""Messages up to so many times longer than allowed are read and counted; longer ones end the connection."""
+"""Messages up to so many times longer than allowed are read; longer ones end the connection."""
 
 
 class ZmqSettings(SourceSettings):
@@ -76,6 +76,7 @@ class ZmqSource(Source):
         fitting = FITTING_FRAMES * (8 * array.antennas * array.subcarriers + 1024)
         self._limit = self.settings.max_message_bytes or min(max(LEAST_MESSAGE_BYTES, fitting), MAX_CSI_BYTES)
         self._held: CsiBlock | None = None
+        self._cut_off = 0
 
     @classmethod
     def problems(cls, settings: ZmqSettings) -> list[str]:
@@ -95,7 +96,9 @@ class ZmqSource(Source):
         self._socket.rcvhwm = self.settings.queue_blocks
         self._socket.maxmsgsize = HARD_LIMIT * self._limit
         try:
-            self._doorkeeper = Doorkeeper(self._context, self.security, self._refused, ("send",))
+            self._doorkeeper = Doorkeeper(
+                self._context, self.security, self._refused, ("send",), sees_cuts=True
+            )
             self._doorkeeper.guard(self._socket, self.settings.endpoint)
             self._endpoint = bind(self._socket, self.settings.endpoint)
         except SetupError:
@@ -105,6 +108,7 @@ class ZmqSource(Source):
     def recv(self, timeout: float) -> CsiBlock | None:
         """The next good block, or as one the short ones that wait; bad ones on the way are counted."""
         deadline = time.monotonic() + timeout
+        self._count_cut_off()
         held, self._held = self._held, None
         blocks = [] if held is None else [held]
         while sum(len(block) for block in blocks) < GATHERED_FRAMES:
@@ -165,6 +169,17 @@ class ZmqSource(Source):
         good = usable(block, self.rejected)
         self._numbering.leave_out(len(block) - (0 if good is None else len(good)))
         return None if good is None else replace(good, seq=seq)
+
+    def _count_cut_off(self) -> None:
+        """Take over what the doorkeeper has seen in its own thread."""
+        cut_off = self._refused.as_dict().get(CUT_OFF, 0)
+        for _ in range(self._cut_off, cut_off):
+            self._reject(
+                "too_long",
+                f"a message of more than {HARD_LIMIT * self._limit} bytes came and its connection was ended, "
+                f"max_message_bytes is {self._limit}",
+            )
+        self._cut_off = cut_off
 
     def _reject(self, reason: str, complaint: str) -> None:
         self.rejected.add(reason)

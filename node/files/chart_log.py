@@ -18,6 +18,7 @@ from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.counters import Counters
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.files.bounded import bounded
 
 HEAD = "chachart.chart"
 """Name of the metadata record at the start of a chart log."""
@@ -128,7 +129,9 @@ def _records(path: Path, damaged: Counters) -> Iterator[McapRecord]:
     """The records of the file and of its chunks, as far as it goes."""
     with path.open("rb") as file:
         try:
-            for record in StreamReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records:
+            for record in StreamReader(
+                bounded(file), emit_chunks=True, record_size_limit=MAX_RECORD_BYTES
+            ).records:
                 if not isinstance(record, Chunk):
                     yield record
                     continue

@@ -11,6 +11,8 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
+from chachart.node.files.bounded import bounded
+
 MOST_NAMED = 5
 _MAX_RECORD_BYTES = 1 << 28
 
@@ -40,7 +42,7 @@ def contents(path: Path) -> str:
 
 def _from_summary(path: Path) -> list[str]:
     with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
+        summary = make_reader(bounded(file)).get_summary()
     if summary is None:
         return []
     schemas = {number: schema.name for number, schema in summary.schemas.items()}
@@ -51,7 +53,9 @@ def _from_records(path: Path) -> Iterator[str]:
     """Those outside of chunks, and in chunks that are not compressed."""
     schemas: dict[int, str] = {}
     with path.open("rb") as file:
-        for outer in StreamReader(file, emit_chunks=True, record_size_limit=_MAX_RECORD_BYTES).records:
+        for outer in StreamReader(
+            bounded(file), emit_chunks=True, record_size_limit=_MAX_RECORD_BYTES
+        ).records:
             plain = isinstance(outer, Chunk) and not outer.compression
             for record in breakup_chunk(outer) if plain and isinstance(outer, Chunk) else [outer]:
                 if isinstance(record, Schema):

@@ -29,10 +29,16 @@ log = logging.getLogger(__name__)
 
 HANDSHAKE_MS = 5000
 HEARTBEAT_MS, SILENCE_MS = 10_000, 30_000
+REST_WITHIN_S = 0.2
+"""The rest of a message that was cut off comes by then."""
 _ZAP = "inproc://zeromq.zap.01"
 _DOMAIN = b"chachart"
 _EVENTS = zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 _EVENTS |= zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_AUTH
+_FAILED = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL, zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+
+CUT_OFF = "cut_off"
+"""Refused: a connection ended within a message, which was longer than the socket takes."""
 
 
 @dataclass(slots=True)
@@ -40,6 +46,7 @@ class Connection:
     """One connection: its far end, what it has subscribed to, and when it last got a whole chart."""
 
     peer: Any
+    line: socketlib.socket | None = None
     topics: set[bytes] = field(default_factory=set)
     whole_at: float = -math.inf
     expelled: bool = False
@@ -58,6 +65,9 @@ class Doorkeeper:
         Counts who is turned away, by reason.
     rights
         Of keys that let in, weakest first.
+    sees_cuts
+        Whether connections that ZeroMQ ends because of too long a message are counted as `CUT_OFF`; that
+        costs a descriptor for each connection.
     """
 
     def __init__(
@@ -66,13 +76,16 @@ class Doorkeeper:
         security: SecuritySettings,
         refusals: Counters,
         rights: tuple[Right, ...],
+        sees_cuts: bool = False,
     ) -> None:
         self._context = context
         self._security = security
         self._refusals = refusals
         self._rights = rights
+        self._sees_cuts = sees_cuts
         self._ring: KeyRing | None = None
         self._open: dict[int, Connection] = {}
+        self._failing = False
         self._lock = threading.Lock()
         self._stop = context.socket(zmq.PAIR)
         self._stop.bind(f"inproc://doorkeeper-{id(self)}")
@@ -143,6 +156,10 @@ class Doorkeeper:
         for socket in (self._stop, self._zap, self._monitor):
             if socket is not None:
                 socket.close(linger=0)
+        for known in self._open.values():
+            if known.line is not None:
+                known.line.close()
+        self._open.clear()
 
     def _run(self) -> None:
         assert self._monitor is not None
@@ -153,7 +170,7 @@ class Doorkeeper:
             ready = dict(poller.poll())
             if self._stop in ready:
                 return
-            if self._monitor in ready:
+            if self._monitor in ready or self._zap in ready:  # whoever asks to come in is known by then
                 self._watch(self._monitor)
             if self._zap in ready:
                 self._zap.send_multipart(self._decide(self._zap.recv_multipart()))
@@ -164,11 +181,23 @@ class Doorkeeper:
             kind, fd = event["event"], event["value"]
             with self._lock:
                 if kind == zmq.EVENT_ACCEPTED:
-                    self._open[fd] = Connection(_peer(fd))
-                elif kind == zmq.EVENT_DISCONNECTED:
-                    self._open.pop(fd, None)
-            if kind in (zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL, zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL):
+                    self._open[fd] = Connection(_peer(fd), _line(fd) if self._sees_cuts else None)
+                elif kind == zmq.EVENT_DISCONNECTED and (gone := self._open.pop(fd, None)) is not None:
+                    self._see_off(gone, self._failing)
+            # ZeroMQ says why a handshake fails just before it says that the connection is gone.
+            self._failing = kind in _FAILED or kind == zmq.EVENT_HANDSHAKE_FAILED_AUTH
+            if kind in _FAILED:
                 self._refusals.add("no_handshake")
+
+    def _see_off(self, gone: Connection, after_failure: bool) -> None:
+        """A peer that goes leaves nothing unread: else ZeroMQ has ended the connection within a message."""
+        if gone.line is None:
+            return
+        with gone.line as line, suppress(OSError):  # nothing came any more, or it was reset
+            line.shutdown(socketlib.SHUT_WR)
+            line.settimeout(REST_WITHIN_S)
+            if line.recv(1, socketlib.MSG_PEEK) and not after_failure and not gone.expelled:
+                self._refusals.add(CUT_OFF)
 
     def _decide(self, request: list[bytes]) -> list[bytes]:
         """The answer to an authentication request."""
@@ -186,6 +215,14 @@ class Doorkeeper:
             else:
                 user = ":".join(found).encode()
         return [b"1.0", number, status, text, user, b""]
+
+
+def _line(fd: int) -> socketlib.socket | None:
+    """The connection itself, to look at once ZeroMQ is done with it."""
+    try:
+        return socketlib.socket(fileno=os.dup(fd))
+    except OSError:  # it has gone already
+        return None
 
 
 def needs_keys(endpoint: str, security: SecuritySettings) -> bool:

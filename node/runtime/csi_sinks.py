@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable
 from typing import Any
 
 from chachart.config.registry import sink_class
@@ -117,9 +118,13 @@ class CsiSinks:
         recording = self._recording
         return None if recording is None else recording.where()
 
-    def close(self, timeout: float) -> None:
-        """Let all sinks finish what waits, within `timeout` seconds each, and close them; none is added."""
+    def close(self, timeout: float, meanwhile: Callable[[], bool]) -> None:
+        """Let all sinks finish what waits, then close them; none is added.
+
+        Each gives up after `timeout` seconds; where `meanwhile`, which is called again and again, says that
+        there is time, so long after it has last got on.
+        """
         with self._lock:
             self._closed = True
         for sink in self._reader.sinks:
-            sink.close(timeout)
+            sink.close(timeout, meanwhile)

@@ -90,14 +90,9 @@ class Dispatcher:
         self._links = WorkerLinks(router, count)
         self._hung = HungWorkers(self._links, self._queues)
         self._snapshots = SnapshotKeeper(self._queues, self._links, state["every_s"])
+        antennas = self._reader.antennas
         self._requests = FeederRequests(
-            self._terms,
-            source,
-            self._reader.antennas,
-            self._csi_sinks,
-            self._links,
-            self._reply,
-            self._wake,
+            self._terms, source, antennas, self._csi_sinks, self._links, self._reply, self._wake
         )
         self._poller = zmq.Poller()
         for socket in (router, self._commands, self._wake_fd):
@@ -123,9 +118,15 @@ class Dispatcher:
             self._tell(messages.READY, {"lossless": self._source.lossless})
             self._serve()
         finally:
-            self._csi_sinks.close(self._time_left())
+            self._csi_sinks.close(self._time_left(), self._still_here)
             self._source.close()
         self._tell(messages.DRAINED, self._status())
+
+    def _still_here(self) -> bool:
+        """What there is to do while CSI sinks finish; whether one that gets on may go on."""
+        self._obey()
+        self._tell(messages.STATUS, self._status())
+        return self._source.lossless and self._stop_at is None
 
     def _serve(self) -> None:
         next_status = 0.0
@@ -322,7 +323,7 @@ class Dispatcher:
             "failure": self._reader.failure,
             "complaint": self._source.complaint or self._reader.complaint,
             "ended": self._reader.ended,
-            "reader_silent_s": time.monotonic() - self._reader.stirred if self._started else 0.0,
+            "source_silent_s": self._reader.source_silent_s,
             **self._reader.status(),
         }
 

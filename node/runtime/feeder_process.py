@@ -130,7 +130,7 @@ class FeederProcess:
         status = self.status
         if status.get("ended") or any(w.get("backlog_blocks") for w in status.get("workers", ())):
             return None
-        silent = status.get("reader_silent_s", 0.0)
+        silent = status.get("source_silent_s", 0.0)
         return f"its source gave nothing back for {silent:.0f} s" if silent > READER_WITHIN_S else None
 
     def _start(self) -> Child:

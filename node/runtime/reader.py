@@ -71,8 +71,6 @@ class Reader:
         Where the source was, for whoever goes on from here.
     passed_on
         All frames below this number are in the queues.
-    stirred
-        When it last had its turn: (monotonic seconds).
     complaint
         What was wrong with the last block that had not the right shape.
     failure
@@ -98,7 +96,7 @@ class Reader:
         self.sinks: tuple[SinkThread, ...] = ()
         self.marks = Marks()
         self.passed_on = 0
-        self.stirred = time.monotonic()
+        self._asked_at: float | None = None
         self.antennas = AntennaLooks(source.array)
         self._source = source
         self._arrays = {array.name: array for array in source.others}
@@ -150,6 +148,12 @@ class Reader:
         """Whether nothing more will come."""
         return self._thread.ident is not None and not self._thread.is_alive()
 
+    @property
+    def source_silent_s(self) -> float:
+        """For how long the source has not answered; a full queue and a slow sink are not its fault."""
+        asked_at = self._asked_at
+        return 0.0 if asked_at is None else time.monotonic() - asked_at
+
     def join(self, timeout: float) -> None:
         if self._thread.ident is not None:
             self._thread.join(timeout)
@@ -192,8 +196,9 @@ class Reader:
 
     def _step(self) -> None:
         self._mark()
+        self._asked_at = time.monotonic()
         block = self._source.recv(RECV_TIMEOUT_S)
-        now = self.stirred = time.monotonic()
+        now, self._asked_at = time.monotonic(), None
         if block is not None and self._fits(block):
             if self._watched(block):
                 self.antennas.see(block, now)

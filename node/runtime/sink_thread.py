@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 from chachart.node.data.chart import ChartUpdate
@@ -18,6 +19,7 @@ log = logging.getLogger(__name__)
 
 TICK_S = 0.05
 COMPLAIN_EVERY_S = 10.0
+ASK_EVERY_S = 0.2
 
 
 class SinkThread:
@@ -86,12 +88,19 @@ class SinkThread:
             self._reports[kind] = values
             self._condition.notify_all()
 
-    def close(self, timeout: float) -> None:
-        """Let the sink take what waits, then close it; gives up after `timeout` seconds."""
+    def close(self, timeout: float, patient: Callable[[], bool] = lambda: False) -> None:
+        """Let the sink take what waits, then close it; gives up after `timeout` seconds.
+
+        Meanwhile `patient` is asked again and again: if it says so, a sink that gets on has as long again.
+        """
         with self._condition:
             self._closing = True
             self._condition.notify_all()
-        self._thread.join(timeout)
+        taken, deadline = self._handed_over, time.monotonic() + timeout
+        while self._thread.is_alive() and (now := time.monotonic()) < deadline:
+            if patient() and self._handed_over > taken:
+                taken, deadline = self._handed_over, now + timeout
+            self._thread.join(min(ASK_EVERY_S, deadline - now))
         if self._thread.is_alive():
             with self._condition:
                 left = self.received - self._handed_over - self.dropped.as_dict().get("queue_full", 0)

@@ -11,6 +11,7 @@ import zmq
 from csi_samples import START_NS, assert_same_frames, small_array, some_block
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from node_runs import until
 from source_contract import SourceCase, SourceContract, receive
 
 from chachart.node.data.csi import CsiBlock
@@ -177,6 +178,26 @@ def test_too_long_a_message_is_counted_and_costs_nobody_else(tmp_path: Path) -> 
         assert "max_message_bytes is 4096" in str(source.complaint)
         greedy.close()
         modest.close()
+
+
+def test_so_long_a_message_that_it_ends_its_connection_is_counted(tmp_path: Path) -> None:
+    endpoint = f"ipc://{tmp_path}/csi"
+    with ZmqSource(ZmqSettings(endpoint=endpoint, max_message_bytes=4096), small_array()) as source:
+        with zmq.Context() as context, context.socket(zmq.PUSH) as greedy:
+            greedy.linger = 0
+            greedy.connect(endpoint)
+            greedy.send(bytes(10_000_000))
+            while not source.rejected.total():
+                assert source.recv(0.1) is None
+        assert source.rejected.as_dict() == {"too_long": 1}
+        assert "max_message_bytes is 4096" in str(source.complaint)
+        modest = Producer(endpoint)
+        modest.send(modest.next_block())
+        assert_same_frames(receive(source, 4), some_block(4, start_ns=START_NS, step_ns=MS))
+        modest.close()
+        until(lambda: source.details()["producers"] == 0, "it has gone")
+        source.recv(0.0)
+        assert source.rejected.as_dict() == {"too_long": 1}, "who just goes is not counted"
 
 
 def test_a_message_of_64_frames_of_a_large_array_fits(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Damage: mutated captures of every format, each read in a process of bounded memory and time.
+"""Damage: mutated captures of every format and files of the node's own, read in a bounded process each.
 
 What may come of a file is frames or a clean error. Anything else, an exception of another kind, a crash, too
 much memory or time, is a fault: the table names the file by its seed, and the command fails.
@@ -13,11 +13,12 @@ import sys
 import time
 from pathlib import Path
 
-from chachart.node.commands.benchmarks import captures
+from chachart.node.commands.benchmarks import captures, own_files
 from chachart.node.commands.benchmarks.report import Table
 from chachart.node.data.errors import SetupError
 
 WORKER = "chachart.node.commands.benchmarks.damage_worker"
+NAMES = (*captures.NAMES, *own_files.NAMES)
 LONGEST_S = 1e6
 SLACK_S = 60.0
 """Beyond the time that its files may take, a worker that says nothing is dead."""
@@ -26,9 +27,7 @@ SLACK_S = 60.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `chachart bench damage`."""
     parser.add_argument("--files", type=int, default=10_000, metavar="N", help="of each format (%(default)s)")
-    parser.add_argument(
-        "--format", choices=captures.NAMES, action="append", help="only this one; may be repeated"
-    )
+    parser.add_argument("--format", choices=NAMES, action="append", help="only this one; may be repeated")
     parser.add_argument(
         "--sample", type=Path, action="append", default=[], metavar="FILE", help="mutate this too"
     )
@@ -50,7 +49,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     """
     table = Table("Mutated captures", ["format", "files", "read", "refused", "faults", "files/s"])
     faults: list[str] = []
-    for name in arguments.format or captures.NAMES:
+    for name in arguments.format or NAMES:
         started = time.monotonic()
         counts, fault = _read(name, arguments)
         total = sum(counts.values())

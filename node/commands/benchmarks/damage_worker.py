@@ -13,7 +13,7 @@ from types import FrameType
 
 import numpy as np
 
-from chachart.node.commands.benchmarks import captures
+from chachart.node.commands.benchmarks import captures, own_files
 from chachart.node.commands.benchmarks.mutations import mutated
 from chachart.node.data.errors import SetupError
 from chachart.sources.formats import open_capture
@@ -26,12 +26,15 @@ class TooLong(BaseException):
     """A file took longer than it may; no reader catches this."""
 
 
-def read(path: Path) -> bool:
-    """Whether a file could be opened and everything in it read."""
+def read(name: str, path: Path) -> bool:
+    """Whether a file of that format could be opened and everything in it read."""
     try:
+        if name in own_files.NAMES:
+            own_files.read(name, path)
+            return True
         capture = open_capture(path)
-        for name in capture.variables:
-            capture.read(name)
+        for variable in capture.variables:
+            capture.read(variable)
     except SetupError as error:
         if not str(error) or "\n" in str(error).strip():
             raise RuntimeError(f"not one clear line: {error!r}") from None
@@ -51,7 +54,8 @@ def main() -> None:
         raise TooLong(f"longer than {task['seconds']} s")
 
     signal.signal(signal.SIGALRM, late)
-    samples = [captures.made(task["format"], SAMPLE_FRAMES, np.random.default_rng(n)) for n in range(3)]
+    make = own_files.made if task["format"] in own_files.NAMES else captures.made
+    samples = [make(task["format"], SAMPLE_FRAMES, np.random.default_rng(n)) for n in range(3)]
     samples += [Path(path).read_bytes() for path in task["samples"]]
     counts = {"read": 0, "refused": 0}
     with tempfile.TemporaryDirectory(prefix="chachart-damage-", dir=_memory()) as folder:
@@ -60,7 +64,7 @@ def main() -> None:
             rng = np.random.default_rng([task["seed"], n])
             path.write_bytes(mutated(samples[n % len(samples)], rng))
             signal.setitimer(signal.ITIMER_REAL, task["seconds"])
-            counts["read" if read(path) else "refused"] += 1
+            counts["read" if read(task["format"], path) else "refused"] += 1
             signal.setitimer(signal.ITIMER_REAL, 0)
             if (n + 1) % REPORT_EVERY == 0 or n + 1 == task["first"] + task["files"]:
                 print(json.dumps({**counts, "next": n + 1}), flush=True)

@@ -13,7 +13,7 @@ from chachart.node.data.columns import COLUMNS
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
-from chachart.node.runtime.sink_thread import SinkThread
+from chachart.node.runtime.sink_thread import ASK_EVERY_S, SinkThread
 from chachart.sinks.base import NodeAccess, Sink, SinkSettings
 
 ARRAY = ArrayGeometry("lab", 2, 2, 2e9, 1e6, 0.075)
@@ -65,6 +65,20 @@ class Notebook(Sink):
         self.gate.wait(DEADLINE_S)
         if self.failing:
             raise self.failing
+
+
+class Turnstile(threading.Event):
+    """A gate that lets one in at a time."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._admissions = threading.Semaphore(0)
+
+    def let_in_one(self) -> None:
+        self._admissions.release()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        return self._admissions.acquire(timeout=timeout)
 
 
 @pytest.fixture
@@ -176,6 +190,35 @@ def test_a_failure_to_close_is_counted(notebook: Notebook, caplog: pytest.LogCap
     assert thread.status()["errors"] == 1
     assert "driver is broken" in caplog.text
     assert "Traceback" in caplog.text
+
+
+def test_who_is_patient_waits_for_a_sink_that_gets_on(notebook: Notebook) -> None:
+    """One block is let in each time that patience is asked for: all take longer than the time given."""
+    thread = SinkThread(notebook, "notebook", 16, lossless=True)
+    thread.open(None)
+    notebook.gate = turnstile = Turnstile()
+    timeout = 2.0
+    blocks = int(timeout / ASK_EVERY_S) + 3
+    for _ in range(blocks):
+        thread.put(block(1))
+
+    def patient() -> bool:
+        turnstile.let_in_one()
+        return True
+
+    thread.close(timeout, patient)
+    assert len(notebook.blocks) == blocks
+    assert thread.status()["dropped"] == {}
+
+
+def test_who_is_patient_does_not_wait_for_one_that_hangs(notebook: Notebook) -> None:
+    notebook.gate.clear()
+    thread = SinkThread(notebook, "notebook", 8, lossless=True)
+    thread.open(None)
+    thread.put(block(3))
+    thread.close(0.05, lambda: True)
+    assert thread.status()["dropped"] == {"not_finished": 3}
+    notebook.gate.set()
 
 
 def test_only_the_latest_report_counts(notebook: Notebook, started: Callable[..., SinkThread]) -> None:

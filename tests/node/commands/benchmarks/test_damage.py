@@ -18,8 +18,8 @@ def arguments(module: object, *words: str) -> argparse.Namespace:
     return parser.parse_args(words)
 
 
-@pytest.mark.parametrize("name", captures.NAMES)
-def test_mutated_captures_give_frames_or_a_clean_error(name: str) -> None:
+@pytest.mark.parametrize("name", damage.NAMES)
+def test_mutated_files_give_what_is_whole_or_a_clean_error(name: str) -> None:
     [table] = damage.run(arguments(damage, "--files", "60", "--format", name))
     [row] = table.as_dict()["rows"]
     assert (row["files"], row["read"] + row["refused"], row["faults"]) == (60, 60, 0)
