@@ -86,7 +86,8 @@ def load_offsets(
 ) -> Calibration:
     """The correction in a JSON file of DICHASUS data: lists `sto`, in samples, and `cpo`, in rad, by channel.
 
-    The data become right times exp(j (2 pi sto k / N + cpo)), k the number of the tone.
+    The data become right times exp(j (2 pi sto k / N + cpo)), k the number of the tone, counted from
+    the band's lowest: tones with numbers below 0 count from the middle.
 
     Parameters
     ----------
@@ -116,7 +117,9 @@ def load_offsets(
     if len(sto) != array.antennas:
         raise ValueError(f"{path} is of {len(sto)} channels, the array has {array.antennas}: say which")
     whole = band or array.subcarriers
-    common = np.exp(-2j * np.pi / whole * sto.mean() * array.tone_numbers)
+    lowest = whole // 2 if array.tone_numbers.min() < 0 else 0
+    cpo = cpo + 2 * np.pi / whole * (sto - sto.mean()) * lowest
+    common = np.exp(-2j * np.pi / whole * sto.mean() * (array.tone_numbers + lowest))
     delay_s = (sto - sto.mean()) / (whole * array.subcarrier_spacing_hz)
     return Calibration.of(np.arange(len(sto)), np.exp(-1j * cpo), common, delay_s)
 

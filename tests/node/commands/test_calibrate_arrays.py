@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -122,6 +123,9 @@ def test_offsets_of_a_data_set_are_taken_over(tmp_path: Path) -> None:
     right = csi * np.exp(1j * (2 * np.pi * sto[:, None] * array.tone_numbers / 1024 + cpo[:, None]))
     calibration = load_offsets(tmp_path / "offsets.json", array, band=1024)
     np.testing.assert_allclose(calibration.corrector(array.offsets_hz)(csi), right, atol=1e-4)
+    centred = dataclasses.replace(array, tones=tuple(range(10 - 512, 74 - 512)))
+    calibration = load_offsets(tmp_path / "offsets.json", centred, band=1024)
+    np.testing.assert_allclose(calibration.corrector(centred.offsets_hz)(csi), right, atol=1e-4)
     with RecordingWriter(tmp_path / "a.mcap", array):
         pass
     arguments = [
