@@ -15,6 +15,7 @@ import tempfile
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -54,14 +55,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, default=10_000.0, help="frames a second (default: %(default)s)")
     parser.add_argument("--ues", type=int, default=256, help="default: %(default)s")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2], help="default: 1 2")
+    parser.add_argument(
+        "--stop", type=float, metavar="S", help="stop processes for so many seconds instead of killing them"
+    )
     parser.add_argument("--seed", type=int, default=0, help="default: %(default)s")
 
 
 def run(arguments: argparse.Namespace) -> list[Table]:
     """Each kind of source with each number of workers."""
     array = ARRAY.geometry()
+    what = "kills" if arguments.stop is None else f"stops for {arguments.stop:g} s"
     table = Table(
-        f"{arguments.count} kills at {arguments.rate:g} frames/s",
+        f"{arguments.count} {what} at {arguments.rate:g} frames/s",
         [
             "source",
             "workers",
@@ -138,13 +143,23 @@ class Trial:
         kind = name.split()[0]
         self.killed[kind] = self.killed.get(kind, 0) + 1
         self._recent.setdefault(kind, deque()).append(time.monotonic())
-        if name == "main":
+        if self.arguments.stop is not None:
+            self._stop_for(processes[name], self.arguments.stop)
+        elif name == "main":
             self._node.kill()
             self._recent.clear()
             self._start()
         else:
             os.kill(processes[name], signal.SIGKILL)
             self._wait_for_frames()
+
+    def _stop_for(self, pid: int, seconds: float) -> None:
+        """Stop a process, which the node may end meanwhile, and wait until the chart goes on."""
+        os.kill(pid, signal.SIGSTOP)
+        self._node.rest(seconds)
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGCONT)
+        self._wait_for_frames()
 
     def settle(self, array: ArrayGeometry) -> float | None:
         """Let it finish what it has; the largest difference of its chart from an undisturbed run's."""
