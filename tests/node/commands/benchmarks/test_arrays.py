@@ -13,7 +13,9 @@ def test_it_measures_every_array(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     monkeypatch.setattr(arrays, "SNRS_DB", (10.0,))
     kept = {name: arrays.SHAPES[name] for name in ("board 2 x 4", "circle of 5")}
     monkeypatch.setattr(arrays, "SHAPES", kept)
-    wanted = argparse.Namespace(ues=16, frames=2, runs=1, seed=0, raytraced=None)
+    parser = argparse.ArgumentParser()
+    arrays.add_arguments(parser)
+    wanted = parser.parse_args(["--ues", "16", "--frames", "2", "--runs", "1"])
     speed, errors = arrays.run(wanted)
     assert [row[0] for row in speed.rows] == [row[0] for row in errors.rows] == [*arrays.SHAPES]
     assert all(cell is not None for table in (speed, errors) for row in table.rows for cell in row)
