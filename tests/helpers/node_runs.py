@@ -54,8 +54,16 @@ def capture_blocks(ues: int = 40, rounds: int = 25, block: int = 100) -> list[Cs
 def children(parent: int, what: str) -> list[int]:
     """Process ids of the children of `parent` that run the runtime's module `what`."""
     tasks = Path(f"/proc/{parent}/task").iterdir()
-    pids = [pid for task in tasks for pid in (task / "children").read_text().split()]
-    return [int(pid) for pid in pids if f"runtime.{what}" in Path(f"/proc/{pid}/cmdline").read_text()]
+    pids = [pid for task in tasks for pid in _read(task / "children").split()]
+    return [int(pid) for pid in pids if f"runtime.{what}" in _read(Path(f"/proc/{pid}/cmdline"))]
+
+
+def _read(path: Path) -> str:
+    """What a file of /proc says; nothing if its thread or process has just gone."""
+    try:
+        return path.read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return ""
 
 
 @dataclass
