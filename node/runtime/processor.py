@@ -158,7 +158,8 @@ class BlockProcessor:
             if isinstance(self._estimator, FusedEstimator):
                 update = self._estimator.update_all(runs)
             else:
-                update = self._estimator.update(CsiBlock.concatenate(list(blocks)))
+                (block,) = runs
+                update = self._estimator.update(block)
         except Exception:
             log.exception("a block of %d frames could not be estimated", frames)
             dropped = self._newly_rejected()

@@ -61,8 +61,6 @@ class Frame:
         When, nanoseconds since the Unix epoch.
     csi
         complex64 (N_R antennas, N_S subcarriers).
-    lost
-        Transmissions that are known to be missing right before this one.
     packet
         A number that all arrays that heard the transmission give it, 0 where there is none.
     """
@@ -70,7 +68,6 @@ class Frame:
     ue: int
     time_ns: int
     csi: NDArray[np.complex64]
-    lost: int = 0
     packet: int = 0
 
 
@@ -251,7 +248,7 @@ class DeviceSource(Source):
         log.info("%s is back", self.where)
 
     def _blocks(self, frames: list[Frame]) -> Iterator[CsiBlock]:
-        """Frames as blocks whose numbers count those known to be missing; odd ones are rejected."""
+        """Frames as blocks, one an array; odd ones are rejected."""
         arrays = (self.array, *self.others)
         shape = sum(array.antennas for array in arrays), self.array.subcarriers
         fitting = [frame for frame in frames if frame.csi.shape == shape]
@@ -263,13 +260,13 @@ class DeviceSource(Source):
         time_ns = np.array([frame.time_ns for frame in fitting], np.int64)
         packets = np.array([frame.packet for frame in fitting], np.uint64)
         csi = np.stack([frame.csi for frame in fitting]).astype(np.complex64, copy=False)
-        lost, first = sum(frame.lost for frame in fitting), 0
+        first = 0
         for array in arrays:
             part = csi[:, first : first + array.antennas]
             first += array.antennas
             block = CsiBlock(
                 array.name,
-                self._next_seq + lost,
+                self._next_seq,
                 ue,
                 time_ns,
                 np.ascontiguousarray(part),

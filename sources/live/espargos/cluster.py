@@ -105,14 +105,16 @@ class Grouping:
         self._done[key] = now_s
         return Cluster.of([waiting.sensors[i] for i in range(self._antennas)])
 
-    def give_up(self, now_s: float) -> int:
-        """Let go of packets that have waited too long; returns how many."""
-        late = [key for key, waiting in self._waiting.items() if now_s - waiting.since_s > KEPT_S]
-        late += list(self._waiting)[: max(len(self._waiting) - KEPT_PACKETS, 0)]
-        gone = list(dict.fromkeys(late))
-        for key in gone:
+    def give_up(self, now_s: float) -> None:
+        """Let go of packets that have waited too long."""
+        while self._waiting:  # those that came first are first
+            key, waiting = next(iter(self._waiting.items()))
+            if now_s - waiting.since_s <= KEPT_S and len(self._waiting) <= KEPT_PACKETS:
+                break
             del self._waiting[key]
             self._rejected.add("incomplete")
-        for key in [key for key, done in self._done.items() if now_s - done > KEPT_S]:
+        while self._done:
+            key, done = next(iter(self._done.items()))
+            if now_s - done <= KEPT_S:
+                break
             del self._done[key]
-        return len(gone)

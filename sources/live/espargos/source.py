@@ -161,7 +161,6 @@ class Stream(Connection):
         self._references: list[Cluster] = []
         self._calibrating = False
         self._calibrated_at: float | None = None
-        self._lost = 0
         try:
             self._channel = self._begin()
         except SetupError:
@@ -228,7 +227,7 @@ class Stream(Connection):
         self._kept_alive = now
         for link in self._links:
             link.keep_alive()
-        self._lost += self._grouping.give_up(now)
+        self._grouping.give_up(now)
 
     def _start_calibration(self) -> None:
         self._references = []
@@ -300,6 +299,5 @@ class Stream(Connection):
         if self._correction is not None:
             csi = csi * self._correction.factor
         time_ns = self._clock.observe(first.time_half_ns // 2, time.time_ns())
-        lost, self._lost = self._lost, 0
         packet = 1 + (first.sequence << 1 | first.retry)
-        return [Frame(first.source, time_ns, csi, lost, packet)]
+        return [Frame(first.source, time_ns, csi, packet)]
