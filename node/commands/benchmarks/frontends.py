@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from chachart.config.settings import ArraySettings
-from chachart.node.commands.benchmarks import live_devices
+from chachart.node.commands.benchmarks import live_decoders, live_devices
 from chachart.node.commands.benchmarks.report import Table
 from chachart.node.commands.benchmarks.timing import Timing, time_in_turn
 from chachart.node.commands.shared.cli import progress
@@ -106,7 +106,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
             except (SetupError, OSError) as error:
                 links.notes.append(f"{name}: not measured: {error}")
             done(1)
-    return [alone, links, faults, *live_devices.tables(arguments.device_frames)]
+    return [alone, links, faults, live_decoders.decoders(), *live_devices.tables(arguments.device_frames)]
 
 
 def decoders(array: ArrayGeometry) -> Table:

@@ -1,29 +1,18 @@
-"""Live devices: decoders alone, and each simulated device over its socket or pty, whole and damaged."""
+"""Live devices: each simulated device over its socket or pty, whole and damaged."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-
 from chachart.config.registry import source_class
 from chachart.node.commands.benchmarks.report import Table
-from chachart.node.commands.benchmarks.timing import time_in_turn
-from chachart.node.data.counters import Counters
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.sources.base import EndOfSource
 from chachart.sources.formats.wifi import tones
 from chachart.sources.live.device import DeviceSource
-from chachart.sources.live.wifi.cutting import PicoScenesForwarder
-from chachart.sources.live.wifi.encoding import ENCODERS, FULL_SCALE, SUBCARRIERS, Packet
-from chachart.sources.live.wifi.frames import Selection
-from chachart.sources.live.wifi.simulated import LARGEST_PART
-from chachart.sources.live.wifi.tools import decoder
 
-PACKETS = 256
 RATE_HZ = 2000.0
 """UDP has no brake: faster than a source reads, the system drops datagrams."""
 GIVE_UP_S = 60.0
@@ -33,7 +22,7 @@ FAULTS = {"krakensdr": {"unsynchronous": 0.01, "overdrive": 0.01, "calibrating":
 _NOT_GOOD = ("unsynchronous", "overdriven", "calibrating")
 _HT = tones.carrying("ht", 20)
 _NEXMON = tuple(n for n in _HT if n not in (28, 29, 30))
-_WIFI: dict[str, tuple[int, tuple[int, ...]]] = {
+WIFI: dict[str, tuple[int, tuple[int, ...]]] = {
     "nexmon": (4, _NEXMON),
     "nexmon_pcap": (2, _NEXMON),
     "picoscenes": (2, tuple(range(-32, 32))),
@@ -61,7 +50,7 @@ def devices() -> dict[str, Device]:
             ArrayGeometry("wifi", antennas, len(numbers), 5.18e9, 312_500.0, 0.029, tones=numbers),
             {"tool": tool},
         )
-        for tool, (antennas, numbers) in _WIFI.items()
+        for tool, (antennas, numbers) in WIFI.items()
     }
     board = ArrayGeometry("board", 8, 25, 2.472e9, 625_000.0, 0.06)
     found["espargos"] = Device("espargos", board, {"calibrate_s": 0.2})
@@ -71,23 +60,25 @@ def devices() -> dict[str, Device]:
 
 
 def tables(frames: int) -> list[Table]:
-    """Decoders alone, whole links, and links with damage, of every live device."""
+    """Whole links, and links with damage, of every live device."""
     whole = Table(
         "live devices, whole: simulated device to blocks of CSI, both in this process",
         ["device", "frame", "sent", "arrived", "frames/s"],
     )
     faults = Table(
-        "the same with 1 % damaged and 1 % never sent, or as its receiver says not good",
+        "the same with 1 % damaged, never sent, and reordered (datagrams), or not good as a receiver says",
         ["device", "sent whole", "arrived", "damaged", "not sent", "left out by reason"],
     )
     for name, device in devices().items():
         shape = f"{device.array.antennas} x {device.array.subcarriers}"
         passed = passage(device, frames, {})
         whole.add(name, shape, passed.sent, passed.arrived, passed.arrived / passed.seconds)
-        hit = passage(device, frames, FAULTS.get(device.type, {"drop": 0.01, "corrupt": 0.01}))
+        hit = passage(
+            device, frames, FAULTS.get(device.type, {"drop": 0.01, "corrupt": 0.01} | _reordered(device))
+        )
         reasons = ", ".join(f"{count} {reason}" for reason, count in sorted(hit.rejected.items()))
         faults.add(name, hit.sent, hit.arrived, hit.damaged, hit.dropped, reasons)
-    return [wifi_decoders(), whole, faults]
+    return [whole, faults]
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,37 +128,6 @@ def passage(device: Device, frames: int, faults: dict[str, float]) -> Passage:
     return Passage(sent, damaged, told.get("dropped", 0), arrived, rejected, max(last - first, 1e-9))
 
 
-def wifi_decoders() -> Table:
-    """Time from a tool's records to frames, one thread, no socket."""
-    table = Table(
-        f"decoders of live Wi-Fi tools alone, {PACKETS} packets", ["tool", "frame", "us a frame", "frames/s"]
-    )
-    calls = {tool: _decoding(tool) for tool in _WIFI}
-    for tool, timing in time_in_turn(calls).items():
-        each = timing.scaled(1 / PACKETS)
-        antennas, numbers = _WIFI[tool]
-        table.add(tool, f"{antennas} x {len(numbers)}", each.scaled(1e6), 1 / each.median)
-    return table
-
-
-def _decoding(tool: str) -> Callable[[], None]:
-    """Decode packets of a tool; what does not come out is a mistake."""
-    array = devices()[f"wifi {tool}"].array
-    rng = np.random.default_rng(1)
-    scale, count = FULL_SCALE.get(tool, 1000.0), SUBCARRIERS.get(tool, 64)
-    pieces: list[bytes] = []
-    for n in range(PACKETS):
-        csi = scale * np.exp(2j * np.pi * rng.random((array.antennas, count)))
-        made = ENCODERS[tool](Packet(n, 1 + n % 8, 1000 * n, -50, csi))
-        pieces += made if tool != "picoscenes" else PicoScenesForwarder.encode(made[0], n, LARGEST_PART)
-
-    def decode() -> None:
-        rejected = Counters()
-        decoding = decoder(tool, "integers", 8, rejected)  # type: ignore[arg-type]
-        selection = Selection(array, "auto", rejected)
-        logs = [log for at in range(0, len(pieces), 16) for log in decoding.feed(pieces[at : at + 16])]
-        found = sum(len(selection.frames(log, 1)) for log in [*logs, *decoding.feed([])])
-        if found != PACKETS:
-            raise AssertionError(f"{found} of {PACKETS} packets of {tool} came out: {rejected.as_dict()}")
-
-    return decode
+def _reordered(device: Device) -> dict[str, float]:
+    """Of devices that send datagrams."""
+    return {"reorder": 0.01} if device.type in ("espargos", "wifi") else {}

@@ -97,7 +97,7 @@ class SimulatedKraken(SimulatedServer):
                 self.stopping.wait()
                 return
             client.settimeout(5.0)
-            client.sendall(self._frame())
+            client.sendall(self.acquisition())
             client.settimeout(0.05)
             self._sent += 1
 
@@ -113,7 +113,8 @@ class SimulatedKraken(SimulatedServer):
             data += more
         return data
 
-    def _frame(self) -> bytes:
+    def acquisition(self) -> bytes:
+        """What heimdall sends next, good or not, which is counted."""
         f, fault = self._faults, float(self._rng.random())
         good = Header(
             type=heimdall.DATA,

@@ -48,7 +48,7 @@ ESTIMATE = Description(
         ("buffer", "chest_t"),
     ),
 )
-_TICK, _ESTIMATE = 1, 2
+_TICK, ESTIMATE_EVENT = 1, 2
 _CHUNK_BYTES = 100
 FULL_SCALE = 8000.0
 FRAMES = 1024
@@ -124,9 +124,10 @@ class SimulatedGnb(SimulatedServer):
                 for ue, time_ns, csi in zip(
                     block.ue.tolist(), block.time_ns.tolist(), block.csi, strict=True
                 ):
-                    client.sendall(self._sounding(ue, time_ns, csi))
+                    client.sendall(self.sounding(ue, time_ns, csi))
 
-    def _sounding(self, ue: int, time_ns: int, csi: NDArray[np.complex64]) -> bytes:
+    def sounding(self, ue: int, time_ns: int, csi: NDArray[np.complex64]) -> bytes:
+        """The events of a frame (antennas, tones), whole or with a fault, which is counted."""
         self._frame[ue] = (self._frame.get(ue, -1) + 1) % FRAMES
         odd, fault = int(self._rng.integers(len(csi))), float(self._rng.random())
         drop, cut = fault < self._faults.drop, fault < self._faults.drop + self._faults.corrupt
@@ -145,7 +146,7 @@ class SimulatedGnb(SimulatedServer):
                 "gNB_ID": 0, "rnti": ue & 0xFFFF, "frame": self._frame[ue], "subframe": 0,
                 "antenna": antenna, "port": 0, "chest_t": chest,
             }  # fmt: skip
-            parts.append(encode_event(Event(time_ns, _ESTIMATE, encode_arguments(ESTIMATE, values))))
+            parts.append(encode_event(Event(time_ns, ESTIMATE_EVENT, encode_arguments(ESTIMATE, values))))
         return b"".join(parts)
 
     def _spread(self, row: NDArray[np.complex64]) -> bytes:
@@ -177,7 +178,7 @@ def _wants(client: socket.socket) -> bool:
     if kind not in (0, 1) or not 0 <= count <= 65536:
         return False
     numbers = struct.unpack(f"<{count}i", _exactly(client, 4 * count))
-    return _ESTIMATE in numbers if kind == 0 else count > _ESTIMATE and numbers[_ESTIMATE] == 1
+    return ESTIMATE_EVENT in numbers if kind == 0 else count > ESTIMATE_EVENT and numbers[ESTIMATE_EVENT] == 1
 
 
 def _exactly(client: socket.socket, size: int) -> bytes:

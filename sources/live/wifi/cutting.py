@@ -209,22 +209,28 @@ class PicoScenesForwarder:
 
 
 class NexmonFrames:
-    """Datagrams of Nexmon, one a core and stream: those of the frame that is still coming are kept back."""
+    """Datagrams of Nexmon, one a core and stream, in the order of their frames.
+
+    Networks may swap datagrams: those of the two newest frames are kept back, and one that comes late still
+    finds its own.
+    """
+
+    _KEPT = 2
 
     def __init__(self) -> None:
-        self._waiting: list[bytes] = []
+        self._waiting: dict[bytes, list[bytes]] = {}
 
     def feed(self, piece: bytes) -> list[bytes]:
-        """The datagrams of all frames that have ended: of the last one, once another begins."""
-        self._waiting.append(piece)
-        if len(self._waiting) == 1 or self._frame(piece) == self._frame(self._waiting[-2]):
+        """The datagrams of all frames that have ended: when two others have begun after them."""
+        self._waiting.setdefault(self._frame(piece), []).append(piece)
+        if len(self._waiting) <= self._KEPT:
             return []
-        ended, self._waiting = self._waiting[:-1], self._waiting[-1:]
-        return ended
+        return self._waiting.pop(next(iter(self._waiting)))
 
     def flush(self) -> list[bytes]:
-        """The datagrams of the last frame, when nothing has come for a while."""
-        ended, self._waiting = self._waiting, []
+        """The datagrams of the last frames, when nothing has come for a while."""
+        ended = [piece for pieces in self._waiting.values() for piece in pieces]
+        self._waiting.clear()
         return ended
 
     @staticmethod

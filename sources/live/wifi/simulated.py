@@ -32,6 +32,7 @@ RSSI_DBM = -50.0
 LARGEST_PART = 4000
 """The simulated PicoScenes cuts frames into parts of so many bytes."""
 LONGEST_COMMAND = 4096
+_DATAGRAMS = ("nexmon", "picoscenes", "feitcsi", "openwifi")
 _POLL_S = 0.05
 
 
@@ -43,17 +44,21 @@ class ToolFaults(Settings):
     corrupt: float = Field(0.0, ge=0, le=1)
     """Fraction of the frames that are sent cut short; on streams, where others would be lost too, with a
     header that makes no sense."""
+    reorder: float = Field(0.0, ge=0, le=1)
+    """Fraction of the whole frames whose last datagram comes after the next frame's first; streams keep
+    their order."""
     fault_seed: int = Field(0, ge=0)
     """Same seed, same faults."""
 
 
 @dataclass(slots=True)
 class ToolReport:
-    """Frames that were sent whole, never, and damaged."""
+    """Frames that were sent whole, never, and damaged, and how many of the whole ones came out of order."""
 
     sent: int = 0
     dropped: int = 0
     corrupted: int = 0
+    reordered: int = 0
 
 
 class SimulatedTool(SimulatedDevice):
@@ -78,6 +83,7 @@ class SimulatedTool(SimulatedDevice):
         self._stopping = threading.Event()
         self._ready = threading.Event()
         self._send: Callable[[bytes], None] | None = None
+        self._late: list[bytes] = []
         self._held: list[socket.socket | int] = []
         self._asked: socket.socket | None = None
         self._where = f"tool={tool} port={address[1]}"
@@ -237,6 +243,9 @@ class SimulatedTool(SimulatedDevice):
                     break
                 if block is not None and not self._sends(block):
                     break
+        if self._send is not None:
+            for piece in self._late:
+                self._send(piece)
         self.ended.set()
 
     def _sends(self, block: CsiBlock) -> bool:
@@ -263,12 +272,17 @@ class SimulatedTool(SimulatedDevice):
             return
         if self._tool == "picoscenes":
             pieces = PicoScenesForwarder.encode(pieces[0], packet.number % 65536, LARGEST_PART)
-        if fault < self._faults.drop + self._faults.corrupt:
+        late, self._late = self._late, []
+        damaged = self._faults.drop + self._faults.corrupt
+        if fault < damaged:
             self._report.corrupted += 1
             pieces = [_spoilt(self._tool, pieces[0], len(csi)), *pieces[1:]]
         else:
             self._report.sent += 1
-        for piece in pieces:
+            if fault < damaged + self._faults.reorder and self._tool in _DATAGRAMS:
+                self._report.reordered += 1
+                self._late = [pieces.pop()]
+        for piece in [*pieces[:1], *late, *pieces[1:]]:
             self._send(piece)
 
 

@@ -77,8 +77,8 @@ class WifiSettings(DeviceSettings):
     power: Literal["auto", "rssi", "agc", "raw"] = "auto"
     """Scale frames to the received power, undo the gain control, or leave them; auto scales where it can."""
     loopback: WifiLoopback | bool = False
-    """true, or a table: simulate the tool in this process. Its keys: `drop`, `corrupt` (fractions of the
-    frames), `fault_seed`, and `scenario`, a simulator's settings."""
+    """true, or a table: simulate the tool in this process. Its keys: `drop`, `corrupt`, `reorder` (fractions
+    of the frames), `fault_seed`, and `scenario`, a simulator's settings."""
 
     def exposure(self, security: SecuritySettings) -> list[str]:
         """Wi-Fi tools know no keys: an address that other machines reach takes anybody's frames."""

@@ -3,8 +3,7 @@ import json
 import pytest
 
 from chachart.config.settings import ArraySettings
-from chachart.node.commands.benchmarks import frontends, live_devices
-from chachart.sources.live.wifi.encoding import ENCODERS
+from chachart.node.commands.benchmarks import frontends, live_decoders, live_devices
 
 ARRAY = ArraySettings(antennas=4, subcarriers=4).geometry()
 
@@ -37,6 +36,6 @@ def test_a_live_device_accounts_for_every_frame(name: str) -> None:
     assert passed.sent * transmitters - early <= passed.arrived <= passed.sent * transmitters
 
 
-def test_decoders_of_live_tools_are_measured() -> None:
-    table = live_devices.wifi_decoders()
-    assert [row[0] for row in table.rows] == list(ENCODERS)
+def test_decoders_of_live_devices_are_measured() -> None:
+    table = live_decoders.decoders()
+    assert [row[0] for row in table.rows] == list(live_devices.devices())
