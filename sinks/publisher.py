@@ -168,13 +168,13 @@ class Publisher(Sink):
             self._mixed_up = True
         if self._mixed_up:
             self._adopt_last()
-        elif connection is None:
+        elif connection is None or connection.expelled:
             return
         elif kind == b"\0":
             connection.topics.discard(topic)
             with suppress(zmq.ZMQError):
                 self._socket.set(zmq.UNSUBSCRIBE, topic)
-        elif len(connection.topics | {topic}) > self.security.max_subscriptions:
+        elif topic not in connection.topics and len(connection.topics) >= self.security.max_subscriptions:
             self._doorkeeper.expel(fd, "too_many_subscriptions")
         else:
             connection.topics.add(topic)

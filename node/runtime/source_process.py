@@ -149,9 +149,9 @@ def main() -> int:
     results = context.socket(zmq.PUSH)
     results.connect(settings["results"])
     told = messages.pack({"source": settings["number"]})
+    first, *others = [ArrayGeometry.from_dict(array) for array in settings["arrays"]]
     try:
         cls = load_class(settings["source"]["class"])
-        first, *others = [ArrayGeometry.from_dict(array) for array in settings["arrays"]]
         source = cls(cls.Settings.model_validate(settings["source"]["settings"]), first)
         source.others = tuple(others)
         source.security = SecuritySettings.model_validate(settings["security"])

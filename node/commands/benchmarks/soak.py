@@ -1,7 +1,8 @@
 """Soak: a node that runs for hours, and how memory, open files and threads of its processes grow meanwhile.
 
 The simulated world keeps a frame rate; every sink that a lab has is there. Growth is the slope of a line
-through the samples after the first tenth, in which caches fill.
+through the samples after the first tenth, in which caches fill; what is bounded stops growing at some time,
+and shows no slope in the last third.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
             "MB at first",
             "MB at last",
             "MB an hour",
+            "in the last third",
             "files",
             "files an hour",
             "threads",
@@ -58,6 +60,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     )
     kept = samples[int(len(samples) * WARM_UP_SHARE) :]
     hours = np.arange(len(kept)) * every_s / 3600
+    last = 2 * len(kept) // 3
     for process in sorted(set.intersection(*(set(sample) for sample in kept))):
         found = [sample[process] for sample in kept]
         megabytes = [one.bytes / 1e6 for one in found]
@@ -66,6 +69,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
             float(megabytes[0]),
             float(megabytes[-1]),
             _slope(hours, megabytes),
+            _slope(hours[last:], megabytes[last:]),
             found[-1].files,
             _slope(hours, [one.files for one in found]),
             found[-1].threads,
