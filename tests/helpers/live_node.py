@@ -14,6 +14,8 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable
+from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -21,6 +23,7 @@ from typing import Any, Self
 import pytest
 
 DEADLINE_S = 60.0
+_PORTS = count(97 * os.getpid())
 _TIMER = threading.Event()
 
 
@@ -45,10 +48,11 @@ def tool(name: str, package: str) -> str:
 
 
 def free_port() -> int:
-    """A port that nobody listens on right now."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        port: int = listener.getsockname()[1]
-        return port
+    """A port that nobody listens on right now, and that the system gives nobody who asks for any."""
+    while True:
+        port = 10_000 + next(_PORTS) % 20_000
+        with suppress(OSError), socket.create_server(("127.0.0.1", port)):
+            return port
 
 
 def other_address() -> str | None:
