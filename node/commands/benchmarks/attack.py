@@ -1,4 +1,4 @@
-"""Attack: mutated inputs to every decoder, and floods on every socket of a running node.
+"""Attack: mutated inputs to every decoder, and floods on every socket and line of a running node.
 
 What may come of an input is a value or a clean error; anything else is a fault, and the command fails. Of
 each flood, which comes from a process of its own, the table tells what it cost: the frames of an honest
@@ -9,14 +9,25 @@ of the node's processes grew.
 from __future__ import annotations
 
 import argparse
+import socket
 import tempfile
+import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from pathlib import Path
 
 from chachart.node.commands.benchmarks.attack_floods import FLOODS, MUTATED, flood
 from chachart.node.commands.benchmarks.attack_inputs import DECODERS
-from chachart.node.commands.benchmarks.attack_target import Target, Watched, apart
+from chachart.node.commands.benchmarks.attack_lines import LINES, line_config, listening, settled, throw_on
+from chachart.node.commands.benchmarks.attack_target import (
+    Target,
+    Watched,
+    apart,
+    free_ports,
+    held_bytes,
+)
 from chachart.node.commands.benchmarks.attack_worker import Thrown, bound, throw
 from chachart.node.commands.benchmarks.report import Table
 from chachart.node.commands.benchmarks.running import RunningNode
@@ -24,6 +35,7 @@ from chachart.node.commands.shared.cli import progress
 from chachart.node.data.errors import SetupError
 
 CHUNK = 10_000
+LINE_INPUTS = 20_000
 MANY, LONGEST_FLOOD_S = 1 << 40, 3600.0
 
 
@@ -33,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--decoder", choices=DECODERS, action="append", help="only this one; may be repeated")
     parser.add_argument("--seconds", type=float, default=10.0, help="of each flood (%(default)s)")
     parser.add_argument("--flood", choices=FLOODS, action="append", help="only this one; may be repeated")
+    parser.add_argument("--line", choices=LINES, action="append", help="only this one; may be repeated")
     parser.add_argument(
         "--thrown", type=int, metavar="N", help="floods of mutated inputs go on until so many were thrown"
     )
@@ -51,6 +64,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     tables = [_inputs(arguments)] if arguments.inputs else []
     if not arguments.no_floods:
         tables.append(_floods(arguments))
+        tables.append(_lines(arguments))
     return tables
 
 
@@ -102,6 +116,48 @@ def _floods(arguments: argparse.Namespace) -> Table:
             _add(table, name, thrown.result(), watched, quiet.rate)
         node.stop()
     return table
+
+
+def _lines(arguments: argparse.Namespace) -> Table:
+    columns = [
+        "line",
+        "thrown",
+        "inputs/s",
+        "rejected",
+        "good among them",
+        "of these charted",
+        "MB more at most",
+    ]
+    table = Table("Mutated inputs on lines that a node listens to", columns)
+    count = arguments.thrown or LINE_INPUTS
+    for name in arguments.line or LINES:
+        port, web = free_ports(2)
+        with tempfile.TemporaryDirectory(prefix="chachart-attack-") as folder, apart() as process:
+            early = None if LINES[name].node_comes_first else _throw_on(process, name, port, count, arguments)
+            with RunningNode(Path(folder), line_config(name, port, web)) as node:
+                listening(node, web)
+                begin, held = time.monotonic(), held_bytes(node)
+                thrown = early or _throw_on(process, name, port, count, arguments)
+                highest = held
+                while not thrown.done():
+                    node.rest(0.2)
+                    highest = max(highest, held_bytes(node))
+                took, good = time.monotonic() - begin, thrown.result()
+                charted, rejected = settled(node, web)
+                table.add(name, count, count / took, rejected, good, charted, (highest - held) / 1e6)
+                node.stop()
+    return table
+
+
+def _throw_on(
+    process: Executor, name: str, port: int, count: int, arguments: argparse.Namespace
+) -> Future[int]:
+    """Begin; who has to be there before the node is."""
+    thrown = process.submit(throw_on, name, port, count, arguments.seed)
+    while not LINES[name].node_comes_first and not thrown.done():
+        with suppress(OSError), socket.create_connection(("127.0.0.1", port)):
+            break
+    return thrown
 
 
 def _add(table: Table, name: str, thrown: int, watched: Watched, quiet: float) -> None:

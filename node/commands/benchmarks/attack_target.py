@@ -9,7 +9,7 @@ import socket as socketlib
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any, TypeVar
 
@@ -50,7 +50,7 @@ class Watched:
 class Target:
     """Ports of a node on loopback, and who feeds and watches it."""
 
-    ports: Ports = field(default_factory=lambda: Ports(*(_free_port() for _ in range(4))))
+    ports: Ports = field(default_factory=lambda: Ports(*free_ports(4)))
 
     def config(self) -> str:
         """The node's configuration: a `zmq` source, and every sink that listens."""
@@ -97,24 +97,15 @@ class Target:
 
     def status(self) -> dict[str, Any]:
         """The node's status, asked as a person on this machine would."""
-        return self._ask("status")
+        return ask(self.ports.web, "status")
 
     def honest(self) -> int:
         """How many frames of the honest producer are in the chart."""
-        chart = self._ask("chart")
+        chart = ask(self.ports.web, "chart")
         frames: list[float] = [
             n for ue, n in zip(chart["ue"], chart["snapshots"], strict=True) if ue >= HONEST
         ]
         return round(sum(frames))
-
-    def _ask(self, what: str) -> dict[str, Any]:
-        connection = http.client.HTTPConnection("127.0.0.1", self.ports.web, timeout=30)
-        try:
-            connection.request("GET", f"/api/{what}")
-            answer: dict[str, Any] = json.loads(connection.getresponse().read())
-        finally:
-            connection.close()
-        return answer
 
     def watch(self, node: RunningNode, goes_on: Future[int] | None, seconds: float) -> Watched:
         """Look at the node until that is over, `seconds` at least.
@@ -124,22 +115,22 @@ class Target:
         SetupError
             If it has ended, or charts no more.
         """
-        counted, before = self._patiently(node, self.honest), self._patiently(node, self.status)
-        held = _bytes(node)
+        counted, before = patiently(node, self.honest), patiently(node, self.status)
+        held = held_bytes(node)
         begin = charted = time.monotonic()
         highest, pause_s, latest, honest = held, 0.0, before, 0
         while time.monotonic() < begin + seconds or (goes_on is not None and not goes_on.done()):
             node.rest(LOOK_EVERY_S)
-            highest = max(highest, _bytes(node))
+            highest = max(highest, held_bytes(node))
             with suppress(OSError, ValueError, KeyError, http.client.HTTPException):
                 status = self.status()
                 if status["frames_estimated"] > latest["frames_estimated"]:
                     charted, latest = time.monotonic(), status
                 honest, counted = _more(honest, counted, self.honest())
             pause_s = max(pause_s, time.monotonic() - charted)
-        honest, _ = _more(honest, counted, self._patiently(node, self.honest))
+        honest, _ = _more(honest, counted, patiently(node, self.honest))
         took = time.monotonic() - begin
-        after = self._patiently(node, self.status)
+        after = patiently(node, self.status)
         if not self._charts_on(node, after["frames_estimated"]):
             raise SetupError("the node charts no more")
         return Watched(
@@ -148,28 +139,52 @@ class Target:
             sum(after["dropped"].values()) - sum(before["dropped"].values()),
             _refused(after) - _refused(before),
             highest - held,
-            _bytes(node) - held,
+            held_bytes(node) - held,
         )
 
     def _charts_on(self, node: RunningNode, estimated: int) -> bool:
         """Whether it still estimates, which may take a while."""
         deadline = time.monotonic() + START_WITHIN_S
-        while self._patiently(node, self.status)["frames_estimated"] <= estimated:
+        while patiently(node, self.status)["frames_estimated"] <= estimated:
             if time.monotonic() > deadline:
                 return False
             node.rest(0.2)
         return True
 
-    def _patiently(self, node: RunningNode, ask: Callable[[], T]) -> T:
-        """The answer, also from a node that takes no connection just now."""
-        deadline = time.monotonic() + START_WITHIN_S
-        while True:
-            try:
-                return ask()
-            except (OSError, ValueError, KeyError, http.client.HTTPException):
-                if time.monotonic() > deadline:
-                    raise SetupError("the node answers no more") from None
-                node.rest(0.2)
+
+def ask(web: int, what: str) -> dict[str, Any]:
+    """What a node's page at this port is told: its `status`, its `chart`.
+
+    Raises
+    ------
+    OSError, ValueError, http.client.HTTPException
+        If it does not answer.
+    """
+    connection = http.client.HTTPConnection("127.0.0.1", web, timeout=30)
+    try:
+        connection.request("GET", f"/api/{what}")
+        answer: dict[str, Any] = json.loads(connection.getresponse().read())
+    finally:
+        connection.close()
+    return answer
+
+
+def patiently(node: RunningNode, ask: Callable[[], T]) -> T:
+    """The answer, also from a node that takes no connection just now.
+
+    Raises
+    ------
+    SetupError
+        If it answers no more.
+    """
+    deadline = time.monotonic() + START_WITHIN_S
+    while True:
+        try:
+            return ask()
+        except (OSError, ValueError, KeyError, http.client.HTTPException):
+            if time.monotonic() > deadline:
+                raise SetupError("the node answers no more") from None
+            node.rest(0.2)
 
 
 def _more(total: int, before: int, now: int) -> tuple[int, int]:
@@ -183,11 +198,13 @@ def _refused(status: dict[str, Any]) -> int:
     return sum(sum(reasons.values()) for reasons in [*counts, status["rejected"]])
 
 
-def _bytes(node: RunningNode) -> int:
+def held_bytes(node: RunningNode) -> int:
+    """Memory that all processes of a node hold."""
     return sum(footprint.bytes for footprint in footprints(node.pid).values())
 
 
-def _free_port() -> int:
-    with socketlib.create_server(("127.0.0.1", 0)) as probe:
-        port: int = probe.getsockname()[1]
-        return port
+def free_ports(count: int) -> list[int]:
+    """So many different ports that nobody listens on right now."""
+    with ExitStack() as held:
+        probes = [held.enter_context(socketlib.create_server(("127.0.0.1", 0))) for _ in range(count)]
+        return [int(probe.getsockname()[1]) for probe in probes]

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import Counter
 from functools import cache, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ NAME = "Nexmon .pcap"
 
 _BLOCK = 1024
 HEADER = 18
+_CORE = 12
 """Bytes of a payload in front of the CSI."""
 _MAGIC = 0x11
 _LINK_BYTES = {1: 14, 12: 0, 14: 0, 101: 0, 113: 16, 228: 0, 276: 20}
@@ -99,10 +100,16 @@ def is_payload(payload: bytes) -> bool:
     return rest == 0 and count in _SIZES and payload[:2] == bytes([_MAGIC, _MAGIC])
 
 
-def read_payloads(data: NDArray[np.uint8], found: Payloads, numbers: Numbers | None = None) -> Log:
+def read_payloads(
+    data: NDArray[np.uint8],
+    found: Payloads,
+    numbers: Numbers | None = None,
+    heard_by: set[int] | None = None,
+) -> Log:
     """The frames of UDP payloads that follow one another in time, in bytes (N,).
 
-    `numbers` says how the chip writes; where it is not given, the words tell.
+    `numbers` says how the chip writes, and `heard_by` which cores a whole frame has; where they are not
+    given, the words tell, and the payloads.
     """
     count = (found.lengths - HEADER) // 4
     good = (found.lengths > HEADER) & np.isin(count, _SIZES)
@@ -118,7 +125,10 @@ def read_payloads(data: NDArray[np.uint8], found: Payloads, numbers: Numbers | N
     first = np.cumsum(whole) - whole
     streams = np.zeros(len(whole), np.int64)
     np.maximum.at(streams, frame, stream + 1)
-    cores = {int(size): _cores(core[count == size]) for size in np.unique(count)}
+    cores = {
+        int(size): usual_cores(np.bincount(core[count == size])) if heard_by is None else heard_by
+        for size in np.unique(count)
+    }
     amount = np.array([len(cores[int(count[row])]) for row in first], np.int64)
     complete = whole == amount * streams
     for row in np.flatnonzero(complete & (amount > 1)).tolist():
@@ -193,10 +203,14 @@ def _frames(
     return np.cumsum(fresh) - 1
 
 
-def _cores(core: NDArray[np.int64]) -> set[int]:
-    """The cores that a capture has: those with at least a quarter as many packets as the commonest."""
-    counts = np.bincount(core)
-    return set(np.flatnonzero(4 * counts >= counts.max()).tolist())
+def core_of(payload: bytes) -> int:
+    """The core that a payload is of."""
+    return payload[_CORE] & 7
+
+
+def usual_cores(packets: NDArray[Any]) -> set[int]:
+    """Of so many packets of each core: those with at least a quarter as many as the commonest."""
+    return set(np.flatnonzero(4 * packets >= packets.max()).tolist())
 
 
 def _group(

@@ -31,6 +31,8 @@ from chachart.sources.live.wifi.cutting import (
 ToolName = Literal["nexmon", "nexmon_pcap", "picoscenes", "feitcsi", "intel5300", "esp32", "openwifi"]
 ChipName = Literal["integers", "bcm4358", "bcm4366c0"]
 CHIPS = {"integers": nexmon.INTEGERS, "bcm4358": nexmon.BCM4358, "bcm4366c0": nexmon.BCM4366C0}
+CORES, REMEMBERED_PAYLOADS = 8, 200
+"""A datagram that says a wrong core must not make whole frames look as if they lacked one."""
 _MICROSECOND_NS = 1000
 
 
@@ -72,6 +74,7 @@ class NexmonDecoder(Decoder):
     def __init__(self, chip: ChipName, rejected: Counters) -> None:
         self._numbers, self._rejected = CHIPS[chip], rejected
         self._frames = NexmonFrames()
+        self._heard = np.zeros(CORES)
 
     def feed(self, pieces: list[bytes]) -> list[Log]:
         """See `Decoder`."""
@@ -83,9 +86,13 @@ class NexmonDecoder(Decoder):
             ended = self._frames.flush()
         if not ended:
             return []
+        for payload in ended:
+            self._heard *= 1 - 1 / REMEMBERED_PAYLOADS
+            self._heard[nexmon.core_of(payload)] += 1
         data, starts, lengths = joined(ended)
         now = time.time_ns() + _MICROSECOND_NS * np.arange(len(ended), dtype=np.int64)
-        return [nexmon.read_payloads(data, nexmon.Payloads(starts, lengths, now), self._numbers)]
+        payloads = nexmon.Payloads(starts, lengths, now)
+        return [nexmon.read_payloads(data, payloads, self._numbers, nexmon.usual_cores(self._heard))]
 
 
 def decoder(

@@ -63,11 +63,13 @@ def test_inputs_are_the_same_for_the_same_seed_wherever_one_begins() -> None:
 @pytest.mark.timeout(600)
 def test_a_node_charts_through_every_flood() -> None:
     """It lives (or the command fails), its memory is bounded, and what is turned away is told."""
-    [table] = attack.run(arguments("--inputs", "0", "--seconds", "1", "--thrown", "300"))
+    table, lines = attack.run(arguments("--inputs", "0", "--seconds", "1", "--thrown", "300"))
     rows = {row["flood"]: row for row in table.as_dict()["rows"]}
     assert rows.keys() == {"none", *FLOODS}
     for name, row in rows.items():
         assert row["MB more at most"] < 500, name
         assert row["thrown"] == 300 or name not in MUTATED, name
     assert rows["connections"]["thrown"] > 0
+    for row in lines.as_dict()["rows"]:
+        assert row["of these charted"] == row["good among them"] == 6, row["line"]
     assert sum(row["turned away"] for row in rows.values()) > 0
