@@ -1,10 +1,10 @@
-"""What pyproject.toml cannot say: a README whose links work anywhere, and the commit that a build is of."""
+"""What pyproject.toml cannot say: links of the README that work anywhere, a build's commit, kernels in C."""
 
 import re
 import subprocess
 from pathlib import Path
 
-from setuptools import setup
+from setuptools import Extension, setup
 from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).resolve().parent
@@ -43,4 +43,14 @@ setup(
     long_description=long_description(),
     long_description_content_type="text/markdown",
     cmdclass={"build_py": BuildWithCommit},
+    ext_modules=[
+        Extension(
+            "chachart.node.estimation.native.kernels",
+            ["node/estimation/native/kernels.c"],
+            depends=["node/estimation/native/kernels.h"],
+            extra_compile_args=["-O3", "-fno-math-errno", "-Wno-psabi"],
+            libraries=["m"],
+            optional=True,  # numpy does the same
+        )
+    ],
 )

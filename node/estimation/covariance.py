@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from chachart.node.estimation.native import Kernels
 from chachart.node.estimation.state import Slots, SlotState
 
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -217,6 +218,8 @@ class Weights(SlotState):
 def covariances(x: Complex) -> Complex:
     """X Xᴴ (K, N, N) of snapshot matrices x (K, N, M), some at a time."""
     k, n, m = x.shape
+    if Kernels.here and Kernels.take(x, n):
+        return Kernels.here.covariances(x)
     product = np.empty((k, n, n), x.dtype)
     step = max(_SCRATCH_BYTES // (n * max(n, m) * x.itemsize), 1)
     for i in range(0, k, step):

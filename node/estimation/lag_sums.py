@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from chachart.node.estimation.lattice import Lattice
+from chachart.node.estimation.native import Kernels
 from chachart.node.estimation.products import row_products
 
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -65,6 +66,8 @@ class LagSums:
         if self.lattice.sparse:
             return self.of(np.matmul(x, x.conj().swapaxes(1, 2)))
         n = self.lattice.span
+        if Kernels.here and Kernels.take(x, n) and x.shape[2] > FEW:
+            return Kernels.here.lag_sums(self.lattice.spread_out(x, 1))
         if x.shape[2] > FEW and n < REAL_LEAST:
             return self.of(np.matmul(x, x.conj().swapaxes(1, 2)))
         x = self.lattice.spread_out(x, 1)

@@ -18,6 +18,7 @@ from scipy.special import ndtr
 
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.lattice import SPARSE, Lattice, Whole
+from chachart.node.estimation.native import Kernels
 from chachart.node.estimation.products import row_products
 
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -215,10 +216,20 @@ class Search:
         that the next would not matter.
         """
         values = self.spectrum(c)
+        lattice = self.manifold.lattice
+        if self.newton_steps and lattice.dense and Kernels.here and Kernels.take(c, lattice.span):
+            u, value = Kernels.here.extremum(
+                values,
+                c,
+                (self.grid, self._before, self._after, self._low, self._high),
+                maximum=maximum,
+                steps=self.newton_steps,
+                converged=self.converged,
+            )
+            return self._round(u), value
         best = values.argmax(axis=1) if maximum else values.argmin(axis=1)
         row = np.arange(0, values.size, values.shape[1])
-        u: Floats = self.grid[best]
-        value: Floats = values.take(row + best).astype(np.float64)
+        u, value = self.grid[best], values.take(row + best).astype(np.float64)
         if not self.newton_steps:
             return u, value
         before, after, low, high = self._before[best], self._after[best], self._low[best], self._high[best]
@@ -229,10 +240,14 @@ class Search:
         if maximum:
             np.negative(exact, out=exact)
         with np.errstate(divide="ignore", invalid="ignore"):
-            u, value = _descend(exact, self.manifold.lattice, u, low, high, self.newton_steps, self.converged)
+            u, value = _descend(exact, lattice, u, low, high, self.newton_steps, self.converged)
+        return self._round(u), -value if maximum else value
+
+    def _round(self, u: Floats) -> Floats:
+        """u in the range, where that is the full circle."""
         if self._full_circle:
             u = self.manifold.low + np.mod(u - self.manifold.low, 2 * math.pi)
-        return u, -value if maximum else value
+        return u
 
 
 def _descend(

@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from chachart.node.estimation.native import Kernels
+
 Complex = NDArray[np.complexfloating[Any, Any]]
 Real = NDArray[np.floating[Any]]
 
@@ -64,6 +66,8 @@ def inverse_cholesky(r: Complex) -> Complex:
     NaN for those of the batch that are not.
     """
     n = r.shape[-1]
+    if Kernels.here and Kernels.take(r, n):
+        return Kernels.here.inverse_cholesky(r)
     if n <= _SMALL:
         return _triangular_inverse(_each(np.linalg.cholesky, r))
     h = n // 2
