@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from chachart.config.registry import source_class
 from chachart.node.commands.benchmarks.report import Table
+from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.estimation.estimator import ChartEstimator
 from chachart.sources.base import EndOfSource
 from chachart.sources.formats.wifi import tones
 from chachart.sources.live.device import DeviceSource
+from chachart.sources.live.krakensdr.receiver import KrakenFaults
+from chachart.sources.simulator import Simulator, SimulatorSettings
 
 RATE_HZ = 2000.0
 """UDP has no brake: faster than a source reads, the system drops datagrams."""
@@ -63,21 +68,23 @@ def tables(frames: int) -> list[Table]:
     """Whole links, and links with damage, of every live device."""
     whole = Table(
         "live devices, whole: simulated device to blocks of CSI, both in this process",
-        ["device", "frame", "sent", "arrived", "frames/s"],
+        ["device", "frame", "sent", "arrived", "frames/s", "largest difference of theta, deg"],
     )
     faults = Table(
         "the same with 1 % damaged, never sent, and reordered (datagrams), or not good as a receiver says",
-        ["device", "sent whole", "arrived", "damaged", "not sent", "left out by reason"],
+        ["device", "sent whole", "arrived", "of theta, deg", "damaged", "not sent", "left out by reason"],
     )
     for name, device in devices().items():
         shape = f"{device.array.antennas} x {device.array.subcarriers}"
         passed = passage(device, frames, {})
-        whole.add(name, shape, passed.sent, passed.arrived, passed.arrived / passed.seconds)
+        whole.add(
+            name, shape, passed.sent, passed.arrived, passed.arrived / passed.seconds, passed.theta_off_deg
+        )
         hit = passage(
             device, frames, FAULTS.get(device.type, {"drop": 0.01, "corrupt": 0.01} | _reordered(device))
         )
         reasons = ", ".join(f"{count} {reason}" for reason, count in sorted(hit.rejected.items()))
-        faults.add(name, hit.sent, hit.arrived, hit.damaged, hit.dropped, reasons)
+        faults.add(name, hit.sent, hit.arrived, hit.theta_off_deg, hit.damaged, hit.dropped, reasons)
     return [whole, faults]
 
 
@@ -91,6 +98,9 @@ class Passage:
     arrived: int
     rejected: dict[str, int]
     seconds: float
+    theta_off_deg: float | None
+    """Largest difference of a UE's angle in the chart from what the device's own world gives, or from where
+    KrakenSDR's transmitters are; None where the device has one antenna, or does not say who sent."""
 
 
 def passage(device: Device, frames: int, faults: dict[str, float]) -> Passage:
@@ -108,7 +118,8 @@ def passage(device: Device, frames: int, faults: dict[str, float]) -> Passage:
         loopback["scenario"] = {"ues": 8, "frame_rate_hz": RATE_HZ, "snr_db": 200.0, "frames": frames}
     cls = source_class(device.type)
     settings = cls.Settings.model_validate({"type": device.type, **device.settings, "loopback": loopback})
-    arrived, first, last = 0, 0.0, time.perf_counter()
+    blocks: list[CsiBlock] = []
+    first, last = 0.0, time.perf_counter()
     with cls(settings, device.array) as source:
         assert isinstance(source, DeviceSource)
         while True:
@@ -118,14 +129,48 @@ def passage(device: Device, frames: int, faults: dict[str, float]) -> Passage:
                 break
             now = time.perf_counter()
             if block is not None:
-                first, last, arrived = first or now, now, arrived + len(block)
+                first, last = first or now, now
+                blocks.append(block)
             elif now - last > GIVE_UP_S:
-                raise OSError(f"{device.type}: after {arrived} frames nothing came for {GIVE_UP_S:g} s")
+                raise OSError(
+                    f"{device.type}: after {sum(map(len, blocks))} frames nothing came for {GIVE_UP_S:g} s"
+                )
         assert source.simulated is not None
         told, rejected = asdict(source.simulated.report), source.rejected.as_dict()
     damaged = told.get("corrupted", 0) + sum(told.get(name, 0) for name in _NOT_GOOD)
     sent = told.get("sent", told.get("good", 0))
-    return Passage(sent, damaged, told.get("dropped", 0), arrived, rejected, max(last - first, 1e-9))
+    arrived, seconds = sum(map(len, blocks)), max(last - first, 1e-9)
+    off = theta_off_deg(device, blocks, loopback.get("scenario"))
+    return Passage(sent, damaged, told.get("dropped", 0), arrived, rejected, seconds, off)
+
+
+def theta_off_deg(device: Device, blocks: list[CsiBlock], scenario: dict[str, Any] | None) -> float | None:
+    """How far the chart of these blocks is from the device's own world at most."""
+    if device.array.antennas == 1:
+        return None
+    found = _thetas(device.array, blocks)
+    if scenario is None:
+        truth = {
+            round(device.array.carrier_hz + one.offset_hz): math.radians(abs(one.azimuth_deg))
+            for one in KrakenFaults().transmitters
+        }
+    else:
+        still = SimulatorSettings.model_validate(
+            {**scenario, "frame_rate_hz": 0.0, "frames": scenario["ues"]}
+        )
+        with Simulator(still, device.array) as simulator:
+            block = simulator.recv(GIVE_UP_S)
+        truth = _thetas(device.array, [block] if block is not None else [])
+    return math.degrees(max(abs(theta - truth[ue]) for ue, theta in found.items()))
+
+
+def _thetas(array: ArrayGeometry, blocks: list[CsiBlock]) -> dict[int, float]:
+    estimator = ChartEstimator(array, theta="bartlett", rho="none", averaging="mean")
+    found: dict[int, float] = {}
+    for block in blocks:
+        rows = estimator.update(block)
+        found.update(zip(rows.ue.tolist(), rows.theta.tolist(), strict=True))
+    return found
 
 
 def _reordered(device: Device) -> dict[str, float]:

@@ -31,6 +31,9 @@ def test_a_live_device_accounts_for_every_frame(name: str) -> None:
     passed = live_devices.passage(device, 24, {})
     assert passed.sent > 0
     assert passed.damaged == passed.dropped == 0
+    tells_angles = device.array.antennas > 1
+    assert (passed.theta_off_deg is not None) == tells_angles
+    assert not tells_angles or passed.theta_off_deg < (0.5 if name == "krakensdr" else 0.02), "quantisation"
     transmitters = 2 if name == "krakensdr" else 1
     early = passed.rejected.get("calibrating", 0) + passed.rejected.get("incomplete", 0)
     assert passed.sent * transmitters - early <= passed.arrived <= passed.sent * transmitters
