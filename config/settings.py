@@ -231,7 +231,9 @@ class QualitySettings(Settings):
 class StateSettings(Settings):
     """`[state]`: what has been learnt, kept for whoever goes on after a process or the machine died."""
 
-    directory: Path | None = None
+    directory: Annotated[str, Means("that is a folder's path, or a URL of one")] | None = Field(
+        None, min_length=1, examples=["/var/lib/chachart", "s3://bucket/chachart"]
+    )
     """Where snapshots go that `chachart-node --resume` goes on from; not set: they go with the node."""
     every_s: float = Field(10.0, ge=0)
     """How often each worker writes a snapshot; 0: never, and what a dead worker had learnt is lost."""

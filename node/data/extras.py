@@ -17,6 +17,7 @@ EXTRAS = {
     "bench": {"threadpoolctl": "threadpoolctl"},
     "pandas": {"pandas": "pandas"},
     "foxglove": {"foxglove": "foxglove-sdk"},
+    "state": {"fsspec": "fsspec"},
     "mqtt": {"paho": "paho-mqtt"},
 }
 """By extra of chachart: module and the package it comes in."""

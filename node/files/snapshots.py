@@ -1,23 +1,25 @@
 """Snapshots of state: arrays and a few facts in one file that is there whole or not at all.
 
 A file is a zip of `.npy` members, as `numpy.savez` writes them: each has a checksum, and the directory at the
-end is missing where the file was cut. It is written under another name and renamed when it is on the disk.
+end is missing where the file was cut. That is what notices torn ones where a file system cannot rename.
 """
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from chachart.node.files.folders import Folder, FolderError, LocalFolder
 
 _FACTS = "facts.json"
 _BROKEN = (
@@ -65,31 +67,16 @@ def write_snapshot(
     OSError
         If it cannot be written; what was there is untouched.
     """
-    new = path.with_name(f"{path.name}.new")
-    try:
-        with new.open("wb") as file:
-            with zipfile.ZipFile(file, "w") as archive:
-                for name, array in arrays:
-                    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                        np.lib.format.write_array(member, np.ascontiguousarray(array), allow_pickle=False)
-                archive.writestr(_FACTS, json.dumps(facts))
-            file.flush()
-            if durable:
-                os.fsync(file.fileno())
-        if not wanted():
-            new.unlink()
-            return
-        new.replace(path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            new.unlink()
-        raise
-    if durable:
-        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+    LocalFolder(path.parent).write(path.name, partial(pack, facts, arrays), durable, wanted)
+
+
+def pack(facts: Mapping[str, Any], arrays: Iterable[tuple[str, NDArray[Any]]], file: IO[bytes]) -> None:
+    """Write facts and arrays into an open file."""
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, array in arrays:
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.ascontiguousarray(array), allow_pickle=False)
+        archive.writestr(_FACTS, json.dumps(facts))
 
 
 def read_snapshot(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -100,19 +87,35 @@ def read_snapshot(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     SnapshotError
         If it is not there, cut or damaged anywhere.
     """
+    return unpack(LocalFolder(path.parent), path.name)
+
+
+def unpack(folder: Folder, name: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """As `read_snapshot`, of a file in any folder.
+
+    Raises
+    ------
+    SnapshotError
+        If it is not there, cut or damaged anywhere.
+    FolderError
+        If the folder cannot be reached.
+    """
+    path = f"{folder}/{name}"
     try:
-        with zipfile.ZipFile(path) as archive:
-            _check(archive, path.stat().st_size)
+        with folder.open(name) as file, zipfile.ZipFile(file) as archive:
+            _check(archive, path, file.seek(0, os.SEEK_END))
             facts = json.loads(archive.read(_FACTS))
             arrays = {}
-            for name in archive.namelist():
-                if name != _FACTS:
-                    with archive.open(name) as member:
-                        arrays[name.removesuffix(".npy")] = np.lib.format.read_array(
+            for member_name in archive.namelist():
+                if member_name != _FACTS:
+                    with archive.open(member_name) as member:
+                        arrays[member_name.removesuffix(".npy")] = np.lib.format.read_array(
                             member, allow_pickle=False
                         )
                         if member.read(1):
-                            raise SnapshotError(f"{path} is damaged: {name} is too long")
+                            raise SnapshotError(f"{path} is damaged: {member_name} is too long")
+    except FolderError:
+        raise
     except _BROKEN as error:
         raise SnapshotError(f"{path} is damaged: {error}") from None
     if not isinstance(facts, dict):
@@ -128,9 +131,25 @@ def read_facts(path: Path) -> dict[str, Any]:
     SnapshotError
         If they cannot be read.
     """
+    return unpack_facts(LocalFolder(path.parent), path.name)
+
+
+def unpack_facts(folder: Folder, name: str) -> dict[str, Any]:
+    """As `read_facts`, of a file in any folder.
+
+    Raises
+    ------
+    SnapshotError
+        If they cannot be read.
+    FolderError
+        If the folder cannot be reached.
+    """
+    path = f"{folder}/{name}"
     try:
-        with zipfile.ZipFile(path) as archive:
+        with folder.open(name) as file, zipfile.ZipFile(file) as archive:
             facts = json.loads(archive.read(_FACTS))
+    except FolderError:
+        raise
     except _BROKEN as error:
         raise SnapshotError(f"{path} is damaged: {error}") from None
     if not isinstance(facts, dict):
@@ -138,10 +157,10 @@ def read_facts(path: Path) -> dict[str, Any]:
     return facts
 
 
-def _check(archive: zipfile.ZipFile, size: int) -> None:
+def _check(archive: zipfile.ZipFile, path: str, size: int) -> None:
     """See that no member says it is larger than the file, and that all checksums are right."""
     for member in archive.infolist():
         if member.compress_type != zipfile.ZIP_STORED or member.file_size > size:
-            raise SnapshotError(f"{archive.filename} is damaged: {member.filename} cannot be so large")
+            raise SnapshotError(f"{path} is damaged: {member.filename} cannot be so large")
     if (bad := archive.testzip()) is not None:
-        raise SnapshotError(f"{archive.filename} is damaged: the checksum of {bad} is wrong")
+        raise SnapshotError(f"{path} is damaged: the checksum of {bad} is wrong")

@@ -24,6 +24,8 @@ from typing import Any
 log = logging.getLogger(__name__)
 
 NICENESS = 15
+LACKS = 74
+"""Exit status (EX_IOERR) of a child that lacks something outside; its last error says what."""
 ONE_THREAD = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS"), "1"
 )
@@ -43,10 +45,16 @@ class Child:
         What to run.
     settings
         Plain values for `read_settings`; `log_level` and `directory` (of the sockets) are among them.
+
+    Attributes
+    ----------
+    last_error
+        The last error that it logged, or None.
     """
 
     def __init__(self, name: str, module: str, settings: dict[str, Any]) -> None:
         self.name = name
+        self.last_error: str | None = None
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", module],
             stdin=subprocess.PIPE,
@@ -110,6 +118,8 @@ class Child:
                 level, logger, message = json.loads(text)
             except (ValueError, TypeError):
                 level, logger, message = logging.ERROR, __name__, text
+            if level >= logging.ERROR:
+                self.last_error = message
             logging.getLogger(logger).log(level, "%s: %s", self.name, message)
 
 

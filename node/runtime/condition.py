@@ -56,6 +56,8 @@ class ConditionWatch:
             self._frames_in, self._frame_at = status["frames_in"], now
         recent = self._recent(status, now)
         if status["state"] == "starting":
+            if (trouble := next(_lacking(status), None)) is not None:
+                return Condition("starting", *trouble)
             missing = [str(w["shard"]) for w in status["workers"] if w["pid"] is None]
             waits = f"waiting for worker {', '.join(missing)}" if missing else "the source is being opened"
             return Condition("starting", waits)
@@ -111,9 +113,20 @@ def _processes(status: dict[str, Any]) -> Iterator[Trouble]:
     if status["feeder_pid"] is None:
         yield "the feeder process is being restarted", wait
     else:
+        yield from _lacking(status)
         for worker in status["workers"]:
             if worker["pid"] is None:
                 yield f"worker {worker['shard']} is being restarted", wait
+
+
+def _lacking(status: dict[str, Any]) -> Iterator[Trouble]:
+    """Workers that cannot read what was learnt."""
+    for worker in status["workers"]:
+        if worker.get("lacks"):
+            yield (
+                f"worker {worker['shard']} cannot read its snapshots: {worker['lacks']}",
+                "make [state] directory reachable from where it runs; it is tried again by itself",
+            )
 
 
 def _sources(status: dict[str, Any]) -> Iterator[Trouble]:

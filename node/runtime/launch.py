@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from chachart.node.data.facts import CaptureFacts
+from chachart.node.files.folders import Folder
 from chachart.node.runtime.child import Child, class_path
 from chachart.node.runtime.gathered import GatheredSources
 from chachart.node.runtime.links import Links
@@ -25,7 +25,7 @@ class Launcher:
         Where snapshots go, None for nowhere.
     """
 
-    def __init__(self, plan: Plan, links: Links, log_level: int, folder: Path | None) -> None:
+    def __init__(self, plan: Plan, links: Links, log_level: int, folder: Folder | None) -> None:
         self._plan = plan
         self._links = links
         self._lives = 0

@@ -10,6 +10,8 @@ from typing import Any
 
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.files.folders import Folder, LocalFolder
+from chachart.node.files.url_folders import folder_at
 from chachart.node.runtime.plan import Plan
 from chachart.node.runtime.state_files import NODE, Series, forget_unfinished, new_run, runs
 
@@ -55,11 +57,11 @@ class NodeState:
         self._thread = threading.Thread(target=self._run, name="node state", daemon=True)
         directory = plan.state.directory
         if directory is None:
-            self.folder = private / "state"
-            self.folder.mkdir()
+            self.folder: Folder = LocalFolder(private / "state")
+            self.folder.make()
             return
         try:
-            self.folder = self._folder(directory, plan.state.resume)
+            self.folder = self._folder(folder_at(directory), plan.state.resume)
         except OSError as error:
             raise SetupError(f"[state] directory {directory} cannot be used: {error.strerror}") from None
         self._series = Series(self.folder, NODE, durable=True)
@@ -75,7 +77,7 @@ class NodeState:
         if self._thread.ident is not None:
             self._thread.join()
 
-    def _folder(self, directory: Path, resume: bool) -> Path:
+    def _folder(self, directory: Folder, resume: bool) -> Folder:
         before = runs(directory) if resume else []
         for folder in reversed(before):
             facts = Series(folder, NODE, durable=True).newest_facts()
@@ -89,7 +91,7 @@ class NodeState:
             log.info("there is nothing in %s to resume from: a new run begins", directory)
         return new_run(directory)
 
-    def _check(self, facts: dict[str, Any], folder: Path) -> None:
+    def _check(self, facts: dict[str, Any], folder: Folder) -> None:
         if differences := ArrayGeometry.from_dict(facts["array"]).mismatches(
             ArrayGeometry.from_dict(self._about["array"])
         ):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -23,6 +22,7 @@ from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
 from chachart.node.estimation.options import Options
+from chachart.node.files.url_folders import folder_at
 from chachart.node.net.security import SecuritySettings, security_problems
 from chachart.node.runtime.capacity import capacity_problems, frame_problems
 from chachart.node.runtime.processor import estimator_of
@@ -159,15 +159,15 @@ class Plan:
             return [f"[fusion]: {error}"]
         return []
 
-    def _state_problems(self) -> Iterator[str]:
+    def _state_problems(self) -> list[str]:
         directory = self.state.directory
         if directory is None:
-            return
-        there = directory if directory.exists() else directory.parent
-        if not there.is_dir():
-            yield f"[state] directory = {str(directory)!r}: {there} is not a folder that is there"
-        elif not os.access(there, os.W_OK):
-            yield f"[state] directory = {str(directory)!r}: {there} cannot be written to"
+            return []
+        try:
+            found = folder_at(directory).problems()
+        except SetupError as error:
+            return [f"[state] directory: {error}"]
+        return [f"[state] directory = {directory!r}: {problem}" for problem in found]
 
     def _shared_endpoints(self) -> Iterator[str]:
         """Endpoints that are free now, but that two parts of this node want to listen on."""

@@ -103,7 +103,14 @@ class Reporter:
         children = self._workers.children
         known = self._feeder.status.get("workers") or [{} for _ in children]
         return [
-            {"shard": shard, "ues": 0, **worker, "restarts": child.restarts, "pid": child.pid}
+            {
+                "shard": shard,
+                "ues": 0,
+                **worker,
+                "restarts": child.restarts,
+                "pid": child.pid,
+                "lacks": child.lacks,
+            }
             for shard, (child, worker) in enumerate(zip(children, known, strict=True))
         ]
 

@@ -8,21 +8,24 @@ from __future__ import annotations
 
 import logging
 import re
-import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 from numpy.typing import NDArray
 
-from chachart.node.files.snapshots import SnapshotError, read_facts, read_snapshot, write_snapshot
+from chachart.node.files.folders import UNFINISHED, Folder
+from chachart.node.files.snapshots import SnapshotError, pack, unpack, unpack_facts
 
 log = logging.getLogger(__name__)
 
 KEPT = 2
 NODE = "node"
+STARTED = "started"
+"""An empty file: object stores have no folders without one, and who may not write learns it at once."""
+_ENDING = ".snapshot"
 _SHARD = re.compile(r"worker-(\d+)-of-(\d+)-\d+\.snapshot")
 _RUN = re.compile(r"run-\d{8}T\d{6}Z(-\d+)?")
 
@@ -38,24 +41,24 @@ class Series:
         Whether they must outlive the machine.
     """
 
-    def __init__(self, folder: Path, name: str, durable: bool) -> None:
+    def __init__(self, folder: Folder, name: str, durable: bool) -> None:
         self._folder = folder
         self._name = name
         self._durable = durable
 
-    def newest(self) -> Iterator[tuple[Path, dict[str, Any], dict[str, NDArray[Any]]]]:
+    def newest(self) -> Iterator[tuple[str, dict[str, Any], dict[str, NDArray[Any]]]]:
         """Those that can be read, newest first; those that cannot are complained about."""
-        for path in reversed(self._paths()):
+        for name in reversed(self._names()):
             try:
-                yield path, *read_snapshot(path)
+                yield f"{self._folder}/{name}", *unpack(self._folder, name)
             except SnapshotError as error:
                 log.warning("%s; the one before it is taken", error)
 
     def newest_facts(self) -> dict[str, Any] | None:
         """The facts of the newest one that can be read, or None."""
-        for path in reversed(self._paths()):
+        for name in reversed(self._names()):
             try:
-                return read_facts(path)
+                return unpack_facts(self._folder, name)
             except SnapshotError as error:
                 log.warning("%s; the one before it is taken", error)
         return None
@@ -69,56 +72,64 @@ class Series:
         facts: dict[str, Any],
         arrays: Iterable[tuple[str, NDArray[Any]]],
         wanted: Callable[[], bool] = lambda: True,
-    ) -> Path:
+    ) -> str:
         """Write the next one, unless it is not `wanted` in the end, and let go of those that are not kept.
+
+        Gives its name.
 
         Raises
         ------
         OSError
             If it cannot be written.
         """
-        paths = self._paths()
-        number = 1 + (int(paths[-1].stem.rpartition("-")[2]) if paths else 0)
-        path = self._folder / f"{self._name}-{number:08d}.snapshot"
-        write_snapshot(path, facts, arrays, self._durable, wanted)
-        for old in paths[: 1 - KEPT]:
+        names = self._names()
+        number = 1 + (int(_number(names[-1])) if names else 0)
+        name = f"{self._name}-{number:08d}{_ENDING}"
+        self._folder.write(name, partial(pack, facts, arrays), self._durable, wanted)
+        for old in names[: 1 - KEPT]:
             with suppress(OSError):
-                old.unlink()
-        return path
+                self._folder.remove(old)
+        return name
 
-    def _paths(self) -> list[Path]:
-        return sorted(self._folder.glob(f"{self._name}-{'[0-9]' * 8}.snapshot"))
+    def _names(self) -> list[str]:
+        mine = re.compile(rf"{re.escape(self._name)}-\d{{8}}{re.escape(_ENDING)}")
+        return sorted(name for name in self._folder.files() if mine.fullmatch(name))
 
 
-def forget_unfinished(folder: Path, name: str = "") -> None:
+def _number(name: str) -> str:
+    return name.removesuffix(_ENDING).rpartition("-")[2]
+
+
+def forget_unfinished(folder: Folder, name: str = "") -> None:
     """Take away the snapshots that are being written, so that none of them gets its name any more."""
-    for path in folder.glob(f"{name}*.snapshot.new"):
-        with suppress(OSError):
-            path.unlink()
+    for one in folder.files():
+        if one.startswith(name) and one.endswith(_ENDING + UNFINISHED):
+            with suppress(OSError):
+                folder.remove(one)
 
 
-def worker_series(folder: Path, shard: int, count: int, durable: bool) -> Series:
+def worker_series(folder: Folder, shard: int, count: int, durable: bool) -> Series:
     """The snapshots of one worker."""
     return Series(folder, f"worker-{shard}-of-{count}", durable)
 
 
-def other_counts(folder: Path, count: int) -> list[int]:
+def other_counts(folder: Folder, count: int) -> list[int]:
     """For which other numbers of workers there is a snapshot of each, newest first."""
     newest: dict[int, dict[int, float]] = {}
-    for path in folder.glob("worker-*.snapshot"):
-        if (match := _SHARD.fullmatch(path.name)) and int(match[2]) != count:
+    for name, changed in folder.files().items():
+        if (match := _SHARD.fullmatch(name)) and int(match[2]) != count:
             shards = newest.setdefault(int(match[2]), {})
-            shards[int(match[1])] = max(shards.get(int(match[1]), 0.0), path.stat().st_mtime)
+            shards[int(match[1])] = max(shards.get(int(match[1]), 0.0), changed)
     whole = [n for n, shards in newest.items() if len(shards) == n]
     return sorted(whole, key=lambda n: max(newest[n].values()), reverse=True)
 
 
-def runs(directory: Path) -> list[Path]:
+def runs(directory: Folder) -> list[Folder]:
     """The folders of all runs, oldest first."""
-    return sorted(path for path in directory.glob("run-*") if _RUN.fullmatch(path.name) and path.is_dir())
+    return [directory.child(name) for name in sorted(directory.folders()) if _RUN.fullmatch(name)]
 
 
-def new_run(directory: Path) -> Path:
+def new_run(directory: Folder) -> Folder:
     """A folder for a new run; of those before only the last is kept.
 
     Raises
@@ -126,14 +137,15 @@ def new_run(directory: Path) -> Path:
     OSError
         If it cannot be made.
     """
-    directory.mkdir(parents=True, exist_ok=True)
+    directory.make()
     before = runs(directory)
     stamp = f"run-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
-    number, folder = 1, directory / stamp
-    while folder.exists():
+    number, folder = 1, directory.child(stamp)
+    while folder.is_there():
         number += 1
-        folder = directory / f"{stamp}-{number}"
-    folder.mkdir()
+        folder = directory.child(f"{stamp}-{number}")
+    folder.make()
+    folder.write(STARTED, lambda file: None, durable=False)
     for old in before[:-1]:
-        shutil.rmtree(old, ignore_errors=True)
+        old.remove_all()
     return folder

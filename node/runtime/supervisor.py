@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable
 
-from chachart.node.runtime.child import Child
+from chachart.node.runtime.child import LACKS, Child
 
 log = logging.getLogger(__name__)
 
@@ -43,6 +43,8 @@ class SupervisedChild:
     ----------
     child
         The process, while there is one.
+    lacks
+        What the last one that died lacked, in its own words; None if it did not die for that.
     last_code
         How the last one that died ended: its exit code, minus the signal's number where one killed it.
     restarts
@@ -62,6 +64,7 @@ class SupervisedChild:
         self.child: Child | None = None
         self.restarts = 0
         self.last_code = 0
+        self.lacks: str | None = None
         self._start = start
         self._on_death = on_death
         self._most_deaths = most_deaths
@@ -107,7 +110,7 @@ class SupervisedChild:
 
     def is_up(self) -> None:
         """It has come up."""
-        self._stillborn, self._up, self._ever_up = 0, True, True
+        self._stillborn, self._up, self._ever_up, self.lacks = 0, True, True, None
 
     @property
     def is_done(self) -> bool:
@@ -132,7 +135,8 @@ class SupervisedChild:
             self._on_death(child.pid)
             return
         self.restarts += 1
-        self._stillborn += 1
+        self.lacks = child.last_error if code == LACKS else None
+        self._stillborn += code != LACKS
         self._deaths.append(now)
         while self._deaths[0] < now - DEATHS_WINDOW_S:
             self._deaths.popleft()

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,12 +18,14 @@ import zmq
 
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
-from chachart.node.data.errors import RequestError
+from chachart.node.data.errors import RequestError, SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.fusion.estimator import FusedEstimator
+from chachart.node.files.folders import FolderError
+from chachart.node.files.url_folders import folder_at
 from chachart.node.net.wire import decode_csi
 from chachart.node.runtime import messages
-from chachart.node.runtime.child import leave_alone_what_lives, read_settings
+from chachart.node.runtime.child import LACKS, leave_alone_what_lives, read_settings
 from chachart.node.runtime.processor import BlockProcessor, FrameClock, Outcome, estimator_of
 from chachart.node.runtime.progress import Mark
 from chachart.node.runtime.worker_state import WorkerState
@@ -54,7 +56,7 @@ class Worker:
         clock = FrameClock(live=False)
         self._processor = BlockProcessor(self._array, self._estimator, clock, self._several)
         state = settings["state"]
-        folder = None if state["folder"] is None else Path(state["folder"])
+        folder = None if state["folder"] is None else folder_at(state["folder"])
         self._state = WorkerState(folder, self._shard, self._count, state["durable"])
         self._done = self._state.restore(self._processor)
         self._snapshot_seq = -1
@@ -211,7 +213,7 @@ def warm_up(array: ArrayGeometry, estimator: dict[str, Any], several: dict[str, 
         made.flush()
 
 
-def main() -> None:
+def main() -> int:
     """Run as `python -m chachart.node.runtime.worker`, settings on stdin."""
     settings = read_settings()
     context = zmq.Context()
@@ -221,9 +223,16 @@ def main() -> None:
     socket.connect(settings["workers"])
     try:
         Worker(settings, socket).run()
+    except FolderError as error:
+        log.error("%s is out of reach: %s", settings["state"]["folder"], error.strerror)
+        return LACKS
+    except SetupError as error:  # what fsspec needs is not on this machine
+        log.error("%s", error)
+        return LACKS
     finally:
         context.destroy()
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from chachart.node.data.counters import Counters
 from chachart.node.estimation.snapshots import joined, merged
 from chachart.node.estimation.state import Snapshot
+from chachart.node.files.folders import Folder, FolderError
 from chachart.node.runtime.partition import shard_of
 from chachart.node.runtime.processor import BlockProcessor
 from chachart.node.runtime.progress import START, Applied, Mark, highest
@@ -25,6 +26,7 @@ log = logging.getLogger(__name__)
 PIECE_UES = 4096
 ROWS_NAME = "rows"
 UNKNOWN_ERROR = 255
+REASON_BYTES = 1024
 
 
 @dataclass(slots=True)
@@ -90,12 +92,13 @@ class WorkerState:
         Whether they must outlive the machine.
     """
 
-    def __init__(self, folder: Path | None, shard: int, count: int, durable: bool) -> None:
+    def __init__(self, folder: Folder | None, shard: int, count: int, durable: bool) -> None:
         self._folder = folder
         self._shard = shard
         self._count = count
         self._durable = durable
         self._writer: int | None = None
+        self._reason = -1
 
     @property
     def writing(self) -> bool:
@@ -103,9 +106,17 @@ class WorkerState:
         return self._writer is not None
 
     def restore(self, processor: BlockProcessor) -> Done:
-        """Take up the newest snapshot that can be read, or those of another number of workers."""
+        """Take up the newest snapshot that can be read, or those of another number of workers.
+
+        Raises
+        ------
+        FolderError
+            If the folder of the run is out of reach: to begin with nothing would be to forget.
+        """
         if self._folder is None:
             return Done()
+        if not self._folder.is_there():
+            raise FolderError(errno.ENOENT, "it is not there, as seen from this worker")
         worker_series(self._folder, self._shard, self._count, True).forget_unfinished()
         for path, facts, arrays in worker_series(self._folder, self._shard, self._count, True).newest():
             try:
@@ -159,13 +170,15 @@ class WorkerState:
         """Write a snapshot of this moment in a process of its own, so that estimates go on meanwhile."""
         assert self._folder is not None
         worker = os.getpid()
+        self._reason, reason = os.pipe()
         self._writer = os.fork()
         if self._writer == 0:
             code = UNKNOWN_ERROR
             try:
-                code = self._write(processor, done, worker)
+                code = self._write(processor, done, worker, reason)
             finally:
                 os._exit(code)  # nothing of the worker's may run here
+        os.close(reason)
 
     def wait(self) -> str | None:
         """Look whether the snapshot is written, without waiting; gives why it could not be.
@@ -177,13 +190,15 @@ class WorkerState:
         if not pid:
             return None
         self._writer = None
+        reason = os.read(self._reason, REASON_BYTES).decode(errors="replace")
+        os.close(self._reason)
         code = os.waitstatus_to_exitcode(status)
         if code == 0:
             return None
-        return os.strerror(code) if 0 < code < UNKNOWN_ERROR else f"its writer ended with {code}"
+        return reason or f"its writer ended with {code}"
 
-    def _write(self, processor: BlockProcessor, done: Done, worker: int) -> int:
-        """In the process that writes; gives its exit status.
+    def _write(self, processor: BlockProcessor, done: Done, worker: int, reason: int) -> int:
+        """In the process that writes; gives its exit status, and writes down why it could not.
 
         A worker that has died meanwhile has a successor, which goes on from the snapshot before: numbers of
         blocks mean something else from there on, so this one must not appear.
@@ -195,7 +210,8 @@ class WorkerState:
             series.write(done.facts(), _members(processor), lambda: os.getppid() == worker)
             return 0
         except OSError as error:
-            return min(error.errno or UNKNOWN_ERROR, UNKNOWN_ERROR)
+            os.write(reason, (error.strerror or str(error)).encode()[:REASON_BYTES])
+            return UNKNOWN_ERROR
 
 
 def _members(processor: BlockProcessor) -> Iterator[tuple[str, NDArray[Any]]]:

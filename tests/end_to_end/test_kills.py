@@ -8,7 +8,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import fsspec
 import numpy as np
+import outage
 import pytest
 from node_runs import ARRAY, DEADLINE_S, Running, adds_up, capture_blocks, until
 
@@ -19,6 +21,7 @@ from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.options import Options
 from chachart.node.runtime.node import Node
 from chachart.node.runtime.plan import Plan
+from chachart.node.runtime.supervisor import STILLBORN_LIMIT
 from chachart.sources.recording import Recording, RecordingSettings
 from chachart.sources.simulator import Simulator, SimulatorSettings
 
@@ -169,7 +172,7 @@ def test_everything_and_then_resumed_with_more_workers(
         count = 2
         block_frames = 16
         [state]
-        directory = "{state}"
+        directory = "local://{state}"
         every_s = 0.2
         """,
         "--resume",
@@ -179,16 +182,53 @@ def test_everything_and_then_resumed_with_more_workers(
     first.finish()
     assert "nothing" in first.said()
     tear_newest(state)
-    node = make_node(3, every_s=0.2, directory=state, resume=True)
+    node = make_node(3, every_s=0.2, directory=state.as_uri(), resume=True)
     node.start()
     assert node.chart() is None or len(node.chart()) <= 40  # type: ignore[arg-type]
     goes_on(node)
     stop_and_compare(node)
 
-    again = make_node(3, every_s=0.2, directory=state, resume=True)
+    again = make_node(3, every_s=0.2, directory=f"local://{state}", resume=True)
     again.start()
     goes_on(again)
     stop_and_compare(again)
+
+
+def test_snapshots_out_of_reach_are_waited_for(make_node: MakeNode, network: Path, tmp_path: Path) -> None:
+    """A worker that cannot read what was learnt does not begin with nothing, and says why."""
+    node = make_node(2, every_s=0.2, directory=f"outage://{tmp_path}/state")
+    node.start()
+    goes_on(node)
+    network.unlink()
+    os.kill(worker_pid(node, 0), signal.SIGKILL)
+    until(lambda: "worker 0 cannot read" in (node.status()["reason"] or ""), "it is told")
+    told = node.status()
+    assert (told["state"], told["reason"]) == (
+        "degraded",
+        f"worker 0 cannot read its snapshots: outage://{tmp_path}/state/{next(tmp_path.glob('state/run-*')).name}"
+        " is out of reach: the network is down",
+    )
+    assert "[state] directory" in told["fix"]
+    until(lambda: node.status()["workers"][0]["restarts"] > STILLBORN_LIMIT, "it is tried again and again")
+    network.touch()
+    goes_on(node)
+    stop_and_compare(node)
+
+
+@pytest.fixture
+def network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A file that is there while outage: URLs can be reached; their driver is found as any other is."""
+    package = tmp_path / "outage-1.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: outage\nVersion: 1\n")
+    (package / "entry_points.txt").write_text("[fsspec.specs]\noutage = outage:Outage\n")
+    helpers = str(Path(outage.__file__).parent)
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{helpers}")
+    fsspec.register_implementation("outage", outage.Outage, clobber=True)
+    up = tmp_path / "up"
+    monkeypatch.setenv(outage.UP, str(up))
+    up.touch()
+    return up
 
 
 def tear_newest(state: Path) -> None:

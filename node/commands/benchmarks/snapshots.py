@@ -23,6 +23,7 @@ from chachart.node.commands.benchmarks.timing import Timing
 from chachart.node.commands.shared.cli import progress
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.files.folders import LocalFolder
 from chachart.node.runtime.processor import BlockProcessor, FrameClock
 from chachart.node.runtime.worker_state import Done, WorkerState
 
@@ -75,7 +76,7 @@ def _pauses(arguments: argparse.Namespace, directory: Path, array: ArrayGeometry
         for start in range(0, arguments.ues, BLOCK):
             estimate(start)
         before = max(estimate(n * BLOCK) for n in range(100))
-        state = WorkerState(directory, 0, 1, durable=True)
+        state = WorkerState(LocalFolder(directory), 0, 1, durable=True)
         begin = time.perf_counter()
         state.begin(processor, Done(seq=1))
         fork_s, meanwhile, n = time.perf_counter() - begin, 0.0, 0

@@ -39,6 +39,10 @@ def test_starting_says_who_is_missing() -> None:
     assert (
         judged(status(state="starting", workers=[{**WORKER, "pid": None}])).reason == "waiting for worker 0"
     )
+    lacking = judged(status(state="starting", workers=[{**WORKER, "pid": None, "lacks": "s3: 503"}]))
+    assert lacking.state == "starting"
+    assert "worker 0 cannot read its snapshots: s3: 503" in str(lacking.reason)
+    assert "[state] directory" in str(lacking.fix)
 
 
 @pytest.mark.parametrize(
@@ -46,6 +50,11 @@ def test_starting_says_who_is_missing() -> None:
     [
         ({"feeder_pid": None}, "the feeder process is being restarted", "log"),
         ({"workers": [{**WORKER, "pid": None}]}, "worker 0 is being restarted", "log"),
+        (
+            {"workers": [{**WORKER, "pid": None, "lacks": "s3://b is out of reach: 503"}]},
+            "worker 0 cannot read its snapshots: s3://b is out of reach: 503",
+            "[state] directory",
+        ),
         (
             {"rejected": {"shape": 64}, "complaint": "4 x 32 came, the array is 8 x 32", "frames_in": 100},
             "all that comes is rejected: 4 x 32 came, the array is 8 x 32",
