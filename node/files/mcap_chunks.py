@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import io
 import struct
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+from isal.isal_zlib import crc32
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -137,7 +137,7 @@ def _chunk_records(content: memoryview) -> memoryview:
     start = CHUNK.size + compression + 8
     if compression or int.from_bytes(content[start - 8 : start], "little") != len(content) - start:
         raise DamagedChunk("chunk_layout")
-    if crc and zlib.crc32(content[start:]) != crc:
+    if crc and crc32(content[start:]) != crc:
         raise DamagedChunk("chunk_crc")
     return content[start:]
 
@@ -156,7 +156,7 @@ def _from_summary(path: Path, file: BinaryIO, size: int) -> FileIndex | None:
         return None
     file.seek(start)
     summary = file.read(size - start)
-    if crc and zlib.crc32(summary[: -len(MAGIC) - 4]) != crc:
+    if crc and crc32(summary[: -len(MAGIC) - 4]) != crc:
         return None
     index = FileIndex(closed=True)
     try:

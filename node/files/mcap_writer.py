@@ -6,10 +6,10 @@ what recording costs.
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from isal.isal_zlib import crc32
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
@@ -101,7 +101,7 @@ class McapWriter:
             size += RECORD.size + length
         crc = 0
         for piece in pieces:
-            crc = zlib.crc32(piece, crc)
+            crc = crc32(piece, crc)
         start, end = min(places)[0], max(places)[0]
         head = RECORD.pack(Opcode.CHUNK, CHUNK.size + 8 + size)
         head += CHUNK.pack(start, end, size, crc, 0) + size.to_bytes(8, "little")
@@ -148,7 +148,7 @@ class McapWriter:
             summary += group
         offset_start = start + len(summary)
         footer = _encoded(Footer(start, offset_start, 0))[:-4]
-        crc = zlib.crc32(summary + offsets + footer)
+        crc = crc32(summary + offsets + footer)
         self._file.write_all([end, summary, offsets, footer, crc.to_bytes(4, "little"), MAGIC])
 
     def _statistics(self) -> Statistics:

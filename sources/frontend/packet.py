@@ -9,11 +9,11 @@ from __future__ import annotations
 import enum
 import math
 import struct
-import zlib
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from isal.isal_zlib import crc32
 from numpy.typing import NDArray
 
 VERSION = 1
@@ -195,7 +195,7 @@ def encode(packet: Packet) -> bytes:
     except (struct.error, KeyError, OverflowError) as error:
         raise ValueError(f"does not fit into a packet: {error}") from None
     raw = head + body
-    return raw + _CRC.pack(zlib.crc32(raw))
+    return raw + _CRC.pack(crc32(raw))
 
 
 def decode(raw: bytes | bytearray | memoryview) -> Packet:
@@ -209,7 +209,7 @@ def decode(raw: bytes | bytearray | memoryview) -> Packet:
     view = memoryview(raw).toreadonly()
     if len(view) < MIN_PACKET_BYTES:
         raise PacketError("short", f"{len(view)} bytes, a packet has at least {MIN_PACKET_BYTES}")
-    if zlib.crc32(view[: -_CRC.size]) != _CRC.unpack(view[-_CRC.size :])[0]:
+    if crc32(view[: -_CRC.size]) != _CRC.unpack(view[-_CRC.size :])[0]:
         raise PacketError("crc", f"the CRC-32 of a packet of {len(view)} bytes does not match")
     version, kind, fmt, seq, time_ns = _HEADER.unpack_from(view)
     if version != VERSION:

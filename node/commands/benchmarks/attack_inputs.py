@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import msgpack
 import numpy as np
 import zmq
+from isal.isal_zlib import crc32
 
 from chachart.node.data.chart import ChartUpdate, Method
 from chachart.node.data.counters import Counters
@@ -110,7 +110,7 @@ def _sealed_packet() -> Decoder:
     """Behind the checksum, which mutations do not get past."""
 
     def decode(data: bytes) -> Any:
-        return packet.decode(data[:-4] + zlib.crc32(data[:-4]).to_bytes(4, "little"))
+        return packet.decode(data[:-4] + crc32(data[:-4]).to_bytes(4, "little"))
 
     return Decoder(_packets(), decode, (packet.PacketError,))
 
@@ -136,7 +136,7 @@ def _sealed_espargos() -> Decoder:
     seal = plain.samples[0][-7:-4]
 
     def decode(data: bytes) -> Any:
-        return plain.decode(data[:-7] + seal + zlib.crc32(data[:-7]).to_bytes(4, "little"))
+        return plain.decode(data[:-7] + seal + crc32(data[:-7]).to_bytes(4, "little"))
 
     return Decoder(plain.samples, decode, plain.refusals)
 

@@ -8,11 +8,11 @@ needs is read: who transmitted, when, at which gain, and the channel estimate of
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from isal.isal_zlib import crc32
 from numpy.typing import NDArray
 
 from chachart.sources.live.device import CodecError
@@ -120,7 +120,7 @@ def _fields(message: bytes) -> Iterator[tuple[int, bytes]]:
         if len(value) < length:
             raise CodecError("truncated", f"field {kind} says {length} bytes, {len(value)} are left")
         if kind == _CRC:
-            if length != 4 or _TYPE.unpack(value)[0] != zlib.crc32(message[:at]):
+            if length != 4 or _TYPE.unpack(value)[0] != crc32(message[:at]):
                 raise CodecError("crc", "the checksum is wrong")
             return
         yield kind, value
@@ -233,7 +233,7 @@ def encode_message(sensor: SensorCsi, rx_gain: int = 0) -> bytes:
             _field(_CSI, (values & 0xFFF).astype("<u2").tobytes()),
         ]
     )
-    return body + _field(_CRC, _TYPE.pack(zlib.crc32(body)))
+    return body + _field(_CRC, _TYPE.pack(crc32(body)))
 
 
 def _field(kind: int, value: bytes) -> bytes:
