@@ -152,14 +152,14 @@ def _pushed(task: Task, port: int, messages: Iterator[list[Any]], kind: int = zm
     with zmq.Context() as context, _socket(context, kind, port) as socket:
         for message in messages:
             while task.goes_on():
+                while kind == zmq.DEALER and socket.poll(0):  # unread answers would stop the requests
+                    socket.recv_multipart()
                 try:
                     socket.send_multipart(message)
                 except zmq.Again:
                     continue
                 n += 1
                 break
-            while kind == zmq.DEALER and socket.poll(0):
-                socket.recv_multipart()
     return n
 
 
