@@ -27,6 +27,7 @@ from chachart.node.runtime.requests import PendingRequests, chart_columns, check
 from chachart.node.runtime.source_processes import SourceProcesses
 from chachart.node.runtime.status import NodeStatus, summary
 from chachart.node.runtime.supervisor import SupervisedChild, Supervisor
+from chachart.node.runtime.thread_names import show_name
 from chachart.sinks.base import NodeAccess
 
 log = logging.getLogger(__name__)
@@ -186,6 +187,7 @@ class Node(NodeAccess):
         return answer
 
     def _run(self) -> None:
+        show_name()
         try:
             self._serve()
         except Exception as error:

@@ -22,6 +22,7 @@ from chachart.node.runtime.partition import Partitioner
 from chachart.node.runtime.progress import Applied, Mark, Marks, missing
 from chachart.node.runtime.shard_queues import ShardQueues
 from chachart.node.runtime.sink_thread import SinkThread
+from chachart.node.runtime.thread_names import show_name
 from chachart.sinks.plain import plain
 from chachart.sources.base import EndOfSource, Source
 from chachart.sources.checks import misfit
@@ -185,6 +186,7 @@ class Reader:
         return details
 
     def _run(self) -> None:
+        show_name()
         try:
             while not self._stopping.is_set() or self._number < self._read_before:
                 self._step()

@@ -13,6 +13,7 @@ from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.counters import Counters
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import SetupError
+from chachart.node.runtime.thread_names import show_name
 from chachart.sinks.base import NodeAccess, Sink
 
 log = logging.getLogger(__name__)
@@ -130,6 +131,7 @@ class SinkThread:
         }
 
     def _run(self) -> None:
+        show_name()
         try:
             self.sink.open(self._node)
         except SetupError as error:

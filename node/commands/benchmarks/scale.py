@@ -1,4 +1,8 @@
-"""Scale: time a frame and memory with more UEs, more antennas, more subcarriers; each in a fresh process."""
+"""Scale: time a frame and memory with more UEs, more antennas, more subcarriers; each in a fresh process.
+
+With --simulate, what numbers of UEs take that no machine at hand has: computed from what this one was
+measured to need for one frame, one UE and one row.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ import subprocess
 import sys
 from typing import Any, get_args
 
+from chachart.node.commands.benchmarks import simulate
 from chachart.node.commands.benchmarks.report import Table
 from chachart.node.commands.shared.cli import progress
 from chachart.node.data.methods import RhoMethod, ThetaMethod
@@ -25,10 +30,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--theta", default="bartlett", choices=get_args(ThetaMethod))
     parser.add_argument("--rho", default="bartlett", choices=get_args(RhoMethod))
+    simulate.add_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> list[Table]:
-    """Measure every size in turn."""
+    """Measure every size in turn, or what is needed to simulate."""
+    if arguments.simulate is not None:
+        return simulate.run(arguments, footprint)
     method = (arguments.theta, arguments.rho)
     ues = [n for n in UES if n <= arguments.max_ues]
     by_ues = Table(f"UEs of 32 x 32, {' / '.join(method)}", ["UEs", *COLUMNS])
