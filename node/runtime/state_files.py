@@ -113,15 +113,19 @@ def worker_series(folder: Folder, shard: int, count: int, durable: bool) -> Seri
     return Series(folder, f"worker-{shard}-of-{count}", durable)
 
 
-def other_counts(folder: Folder, count: int) -> list[int]:
-    """For which other numbers of workers there is a snapshot of each, newest first."""
+def counts(folder: Folder, shard: int, count: int) -> list[int]:
+    """Of how many workers there are snapshots that hold what worker `shard` of `count` needs, newest first.
+
+    Of `count` its own will do, of any other number there must be one of each. They are as old as the oldest
+    of them: a number that was left and taken up again has some from before.
+    """
     newest: dict[int, dict[int, float]] = {}
     for name, changed in folder.files().items():
-        if (match := _SHARD.fullmatch(name)) and int(match[2]) != count:
+        if (match := _SHARD.fullmatch(name)) and (int(match[2]) != count or int(match[1]) == shard):
             shards = newest.setdefault(int(match[2]), {})
             shards[int(match[1])] = max(shards.get(int(match[1]), 0.0), changed)
-    whole = [n for n, shards in newest.items() if len(shards) == n]
-    return sorted(whole, key=lambda n: max(newest[n].values()), reverse=True)
+    whole = [n for n, shards in newest.items() if n == count or len(shards) == n]
+    return sorted(whole, key=lambda n: min(newest[n].values()), reverse=True)
 
 
 def runs(directory: Folder) -> list[Folder]:

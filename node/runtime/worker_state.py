@@ -19,7 +19,7 @@ from chachart.node.files.folders import Folder, FolderError
 from chachart.node.runtime.partition import shard_of
 from chachart.node.runtime.processor import BlockProcessor
 from chachart.node.runtime.progress import START, Applied, Mark, highest
-from chachart.node.runtime.state_files import other_counts, worker_series
+from chachart.node.runtime.state_files import counts, worker_series
 
 log = logging.getLogger(__name__)
 
@@ -106,7 +106,7 @@ class WorkerState:
         return self._writer is not None
 
     def restore(self, processor: BlockProcessor) -> Done:
-        """Take up the newest snapshot that can be read, or those of another number of workers.
+        """Take up the newest snapshot that can be read: its own, or those of another number of workers.
 
         Raises
         ------
@@ -118,16 +118,23 @@ class WorkerState:
         if not self._folder.is_there():
             raise FolderError(errno.ENOENT, "it is not there, as seen from this worker")
         worker_series(self._folder, self._shard, self._count, True).forget_unfinished()
+        for count in counts(self._folder, self._shard, self._count):
+            own = count == self._count
+            done = self._take_own(processor) if own else self._take_share(processor, count)
+            if done is not None:
+                return done
+        return Done()
+
+    def _take_own(self, processor: BlockProcessor) -> Done | None:
+        """This worker's own snapshot."""
+        assert self._folder is not None
         for path, facts, arrays in worker_series(self._folder, self._shard, self._count, True).newest():
             try:
                 processor.restore(*_read(arrays))
                 return Done.of(facts)
             except (ValueError, KeyError) as error:
                 log.error("%s does not fit: %s", path, error)
-        for count in other_counts(self._folder, self._count):
-            if (done := self._take_share(processor, count)) is not None:
-                return done
-        return Done()
+        return None
 
     def _take_share(self, processor: BlockProcessor, count: int) -> Done | None:
         """This worker's UEs out of the snapshots of `count` others."""

@@ -188,10 +188,11 @@ def test_everything_and_then_resumed_with_more_workers(
     goes_on(node)
     stop_and_compare(node)
 
-    again = make_node(3, every_s=0.2, directory=f"local://{state}", resume=True)
-    again.start()
-    goes_on(again)
-    stop_and_compare(again)
+    for count in (3, 2):
+        again = make_node(count, every_s=0.2, directory=f"local://{state}", resume=True)
+        again.start()
+        goes_on(again)
+        stop_and_compare(again)
 
 
 def test_snapshots_out_of_reach_are_waited_for(make_node: MakeNode, network: Path, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from chachart.node.data.errors import SetupError
 from chachart.node.files.folders import Folder, FolderError, LocalFolder
 from chachart.node.files.snapshots import unpack
 from chachart.node.files.url_folders import folder_at
-from chachart.node.runtime.state_files import forget_unfinished, new_run, other_counts, runs, worker_series
+from chachart.node.runtime.state_files import counts, forget_unfinished, new_run, runs, worker_series
 
 ROWS = {"0/ue[]": np.arange(5, dtype=np.uint64), "0/r[]": np.ones((5, 2, 2), np.complex64)}
 
@@ -98,8 +98,32 @@ def test_snapshots_are_numbered_and_the_newest_whole_one_is_taken(folder: Folder
     assert facts["seq"] == 2
     np.testing.assert_array_equal(arrays["0/ue[]"], ROWS["0/ue[]"])
     worker_series(run, 1, 2, durable=True).write({"seq": 0}, ROWS.items())
-    assert other_counts(run, 3) == [2]
-    assert other_counts(run, 2) == []
+    assert counts(run, 0, 3) == [2]
+
+
+def test_the_newest_snapshots_are_taken_however_many_workers_wrote_them(folder: Folder) -> None:
+    run = new_run(folder)
+
+    def write(shard: int, count: int) -> None:
+        worker_series(run, shard, count, durable=True).write({}, ROWS.items())
+
+    def all_write(count: int) -> None:
+        for shard in range(count):
+            write(shard, count)
+
+    all_write(2)
+    write(0, 3)
+    assert counts(run, 1, 2) == [2], "the others of three wrote none"
+    assert counts(run, 0, 3) == [3, 2]
+    assert counts(run, 1, 3) == [2]
+    all_write(3)
+    assert counts(run, 1, 2) == [3, 2]
+    write(0, 2)
+    assert counts(run, 0, 2) == [2, 3]
+    assert counts(run, 1, 2) == [3, 2], "its own is from before there were three"
+    all_write(2)
+    write(0, 3)
+    assert counts(run, 1, 2) == [2, 3], "two of three are from before there were two again"
 
 
 def test_the_last_run_before_a_new_one_is_kept(folder: Folder) -> None:
