@@ -64,7 +64,11 @@ def test_the_top_level_holds_the_rooms_and_nothing_else() -> None:
     assert visible - made == {"LICENSE", "README.md", "pyproject.toml", "setup.py", "tests", *ROOMS}
 
 
-@pytest.mark.parametrize("path", MODULES, ids=name_of)
+@pytest.mark.parametrize(
+    "path",
+    [*MODULES, *(ROOT / "tests").rglob("*.py"), *(ROOT / "sinks/view/page").iterdir()],
+    ids=name_of,
+)
 def test_a_file_stays_readable(path: Path) -> None:
     assert len(path.read_text().splitlines()) <= 350
 

@@ -4,17 +4,18 @@ import { showAntennas, showResponse } from './antennas.js';
 import { showArrays, showBearings } from './arrays.js';
 import { redraw } from './curve.js';
 import { showPaths, strongPaths, Waterfall } from './depth.js';
-import { saveCsv, savePng, saveSvg, stamp } from './export.js';
+import { saveCsv, savePng, saveSvg } from './export.js';
 import { History } from './history.js';
 import { bindKeys } from './keys.js';
 import { List } from './list.js';
 import { Names } from './names.js';
 import { number, showHistory, showNode, showQuality, showQualityAgainstK, showQualityOverTime, showSpectra, showUser } from './panels.js';
 import { Picture } from './picture.js';
+import { showState } from './pill.js';
 import { Plan } from './plan.js';
 import { Recordings } from './recordings.js';
 import { Replay } from './replay.js';
-import { lock } from './steering.js';
+import { changeMethod, lock } from './steering.js';
 import { Stream } from './stream.js';
 import { World } from './world.js';
 
@@ -30,7 +31,7 @@ const list = new List(world, names, (ue) => select(ue));
 const history = new History(stream, () => pill(), toast);
 const plan = new Plan(stream, () => picture.touch(true), toast);
 picture.plan = plan;
-const recordings = new Recordings(stream);
+const recordings = new Recordings(stream, toast);
 const replay = new Replay(stream, () => {
   world.clear();
   stream.ask('sync').catch(() => {});
@@ -74,19 +75,9 @@ stream.addEventListener('state', () => {
 /** Whether the node said that it was about to end before it went. */
 const ended = () => stream.state === 'gone' && ['draining', 'stopped'].includes(statuses.at(-1)?.state);
 
-/** How things are, in a word or two. */
 function pill() {
-  const words = { live: 'live', paused: 'paused', gone: ended() ? 'node ended' : 'node gone', connecting: 'connecting' };
-  const over = stream.state === 'live' && replay.plays?.ended;
-  const past = stream.state === 'live' && history.looking;
-  const still = past || (stream.state === 'live' && replay.plays?.paused);
-  const { state, reason, fix } = statuses.at(-1) ?? {};
-  const ill = stream.state === 'live' && !still && !over && Boolean(reason) && state !== 'running';
-  $('notice').hidden = !ill || state === 'starting';
-  if (ill) $('notice').textContent = [reason, fix].filter(Boolean).join(' – ');
-  $('waiting').textContent = ill ? reason : 'waiting for the first estimates';
-  $('link').dataset.state = ended() || over ? 'ended' : still ? 'paused' : ill ? 'degraded' : stream.state;
-  $('link').textContent = past ? 'in the past' : over ? 'end of the recording' : still ? 'paused' : ill ? state : replay.plays && stream.state === 'live' ? 'replay' : words[stream.state];
+  const play = stream.state === 'live' ? replay.plays : null;
+  showState(stream.state === 'gone' && ended() ? 'ended' : stream.state, statuses.at(-1), play, stream.state === 'live' && history.looking);
 }
 
 stream.addEventListener('hello', ({ detail }) => {
@@ -280,49 +271,6 @@ function cycle(id) {
   say(`${id}: ${select.value}`);
 }
 
-/** The two choices go together: the joint method is one for both; auto goes with any theta. */
-async function changeMethod(changed) {
-  const other = changed === 'theta' ? 'rho' : 'theta';
-  const chosen = { theta: $('theta').value, rho: $('rho').value };
-  if (chosen.rho !== 'auto' && chosen[changed] === 'joint') chosen[other] = 'joint';
-  else if (chosen.rho !== 'auto' && chosen[other] === 'joint') chosen[other] = chosen[changed] === 'isq' || chosen[changed] === 'lr' ? 'bartlett' : chosen[changed];
-  try {
-    await stream.ask('method', chosen);
-    Object.assign($(other), { value: chosen[other] });
-    toast(`Estimating θ with ${chosen.theta}, ρ with ${chosen.rho}`);
-  } catch (error) {
-    toast(`The method stays: ${error.message}`);
-  }
-  $(changed).blur();
-}
-
-async function record() {
-  if ($('record').disabled) return;
-  if ($('record').getAttribute('aria-pressed') === 'true') {
-    try {
-      await stream.ask('record', { on: false });
-      toast('Recording closed');
-    } catch (error) {
-      toast(`Recording goes on: ${error.message}`);
-    }
-    return;
-  }
-  $('file').value = `capture-${stamp()}.mcap`;
-  $('recording').returnValue = '';
-  recordings.show().catch((error) => ($('recordingsin').textContent = error.message));
-  $('recording').showModal();
-}
-
-$('recording').addEventListener('close', async () => {
-  if ($('recording').returnValue !== 'start') return;
-  try {
-    await stream.ask('record', { on: true, path: $('file').value });
-    toast(`Recording to ${$('file').value}`);
-  } catch (error) {
-    toast(`Not recording: ${error.message}`);
-  }
-});
-
 function caption() {
   const report = qualities.at(-1);
   const quality = report ? ` · TW ${number(report.tw, 4)}, CT ${number(report.ct, 4)} (K = ${report.k})` : '';
@@ -348,7 +296,7 @@ $('find').addEventListener('submit', (event) => {
     $('plot').focus();
   } else toast(`No UE ${$('ue').value.trim()} in the chart`);
 });
-for (const kind of ['theta', 'rho']) $(kind).addEventListener('change', () => changeMethod(kind));
+for (const kind of ['theta', 'rho']) $(kind).addEventListener('change', () => changeMethod(stream, kind, toast));
 $('qualityof').addEventListener('change', takeQuality);
 $('historyof').addEventListener('change', refresh);
 for (const id of ['response', 'depth']) $(id).addEventListener('toggle', refresh);
@@ -359,7 +307,7 @@ $('follow').addEventListener('change', () => {
 const clicks = {
   ues: () => list.show(),
   plan: () => plan.show(),
-  pause, record, png, svg, csv, theme: () => theme(dark() ? 'light' : 'dark'), reset: () => picture.fit(), close: () => select(null),
+  pause, record: () => recordings.startOrStop(), png, svg, csv, theme: () => theme(dark() ? 'light' : 'dark'), reset: () => picture.fit(), close: () => select(null),
   in: () => picture.view.zoom(1.4), out: () => picture.view.zoom(1 / 1.4), help: () => $('keys').showModal(), cancel: () => $('recording').close(),
 };
 for (const [id, run] of Object.entries(clicks)) $(id).addEventListener('click', run);
@@ -381,7 +329,7 @@ bindKeys([
   [['t'], 'truth beside, under, off', () => cycle('truth')],
   [['l'], 'trails on or off', () => $('trails').click()],
   [['m'], 'choose the method', () => $('theta').focus()],
-  [['r'], 'record, or stop recording', record],
+  [['r'], 'record, or stop recording', () => recordings.startOrStop()],
   [['s'], 'save the picture (PNG)', png],
   [['g'], 'save the picture for a paper (SVG)', svg],
   [['e'], 'save the table (CSV)', csv],

@@ -1,5 +1,6 @@
 // Recordings: what is being recorded, and what is in the node's folder.
 
+import { stamp } from './export.js';
 import { number } from './panels.js';
 
 const $ = (id) => document.getElementById(id);
@@ -13,8 +14,37 @@ export function bytes(n) {
 const time = (s) => `${Math.floor(s / 60)}:${`${Math.floor(s % 60)}`.padStart(2, '0')}`;
 
 export class Recordings {
-  constructor(stream) {
-    Object.assign(this, { stream, since: null, before: null });
+  constructor(stream, toast) {
+    Object.assign(this, { stream, toast, since: null, before: null });
+    $('recording').addEventListener('close', () => this.#start());
+  }
+
+  /** Close what is being recorded, or ask for the name of a new file. */
+  async startOrStop() {
+    if ($('record').disabled) return;
+    if ($('record').getAttribute('aria-pressed') === 'true') {
+      try {
+        await this.stream.ask('record', { on: false });
+        this.toast('Recording closed');
+      } catch (error) {
+        this.toast(`Recording goes on: ${error.message}`);
+      }
+      return;
+    }
+    $('file').value = `capture-${stamp()}.mcap`;
+    $('recording').returnValue = '';
+    this.show().catch((error) => ($('recordingsin').textContent = error.message));
+    $('recording').showModal();
+  }
+
+  async #start() {
+    if ($('recording').returnValue !== 'start') return;
+    try {
+      await this.stream.ask('record', { on: true, path: $('file').value });
+      this.toast(`Recording to ${$('file').value}`);
+    } catch (error) {
+      this.toast(`Not recording: ${error.message}`);
+    }
   }
 
   /** What is recorded at the moment, from a status; null where nothing is. */

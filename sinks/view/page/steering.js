@@ -17,5 +17,21 @@ export function lock(gone, maySteer) {
   $('onlylook').title = ONLY_LOOK;
 }
 
+/** The two choices go together: the joint method is one for both; auto goes with any theta. */
+export async function changeMethod(stream, changed, toast) {
+  const other = changed === 'theta' ? 'rho' : 'theta';
+  const chosen = { theta: $('theta').value, rho: $('rho').value };
+  if (chosen.rho !== 'auto' && chosen[changed] === 'joint') chosen[other] = 'joint';
+  else if (chosen.rho !== 'auto' && chosen[other] === 'joint') chosen[other] = chosen[changed] === 'isq' || chosen[changed] === 'lr' ? 'bartlett' : chosen[changed];
+  try {
+    await stream.ask('method', chosen);
+    Object.assign($(other), { value: chosen[other] });
+    toast(`Estimating θ with ${chosen.theta}, ρ with ${chosen.rho}`);
+  } catch (error) {
+    toast(`The method stays: ${error.message}`);
+  }
+  $(changed).blur();
+}
+
 /** Whether it is out of reach at the moment. */
 export const locked = () => $('record').disabled;
