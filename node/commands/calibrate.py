@@ -5,11 +5,16 @@
     chachart calibrate capture.mcap --check cal.toml                           how good is it still?
     chachart calibrate capture.mcap --offsets reftx-offsets.json -o cal.toml   take over sto and cpo
     chachart calibrate capture.mcap --per-start --corrected undone.mcap        chains that flip between starts
+    chachart calibrate hall.mcap --arrays -o arrays.toml                       poses and clocks of several
+    chachart calibrate hall.mcap --arrays --places places.csv -o arrays.toml   places: ue,x,y,z[,time]
 
 `calibration = "cal.toml"` in [array] then makes a node undo it. Swapped cables are found by comparing UEs in
 different places, known or not: the more the capture has, the surer. Cards whose chains turn by 180 degrees
 from one start to the next (each file of an import is one) are first put right with --per-start: by a UE at
 known places (--ue), or by all, blind, up to a turn.
+
+With --arrays, `calibration = "arrays.toml"` in [fusion] makes a node put its arrays where they are, and take
+off what their clocks are late.
 """
 
 from __future__ import annotations
@@ -21,12 +26,14 @@ from typing import Any
 
 import numpy as np
 
-from chachart.node.commands.shared import starts
+from chachart.node.commands.shared import placing, starts
 from chachart.node.commands.shared.calibrating import Finding, check, find, read
 from chachart.node.commands.shared.cli import check_writable
 from chachart.node.data.errors import SetupError
 from chachart.node.files.calibration import load_calibration, load_offsets, save_calibration
+from chachart.node.files.placements import save_placements
 from chachart.node.files.recording import RecordingReader
+from chachart.node.files.survey import read_survey
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,6 +59,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="OUT.mcap",
         help="with --per-start: the recording without these turns",
     )
+    parser.add_argument(
+        "--arrays", action="store_true", help="find where several arrays are, and how late their clocks"
+    )
+    parser.add_argument(
+        "--places", type=Path, metavar="CSV", help="with --arrays: places of UEs (ue,x,y,z[,time])"
+    )
+    parser.add_argument(
+        "--clock", choices=("shared", "offset", "own"), help="with --arrays: as in [fusion], instead of auto"
+    )
+    parser.add_argument("--clocks-only", action="store_true", help="with --arrays: poses are as described")
     parser.add_argument("--force", action="store_true", help="replace OUT.mcap if it exists")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the report as JSON")
 
@@ -64,6 +81,10 @@ def run(arguments: argparse.Namespace) -> int:
     SetupError
         If the recording does not hold what is needed, or a file cannot be read or written.
     """
+    if arguments.arrays:
+        return _arrays(arguments)
+    if arguments.places is not None or arguments.clock is not None or arguments.clocks_only:
+        raise SetupError("--places, --clock and --clocks-only go with --arrays")
     if arguments.per_start:
         return _per_start(arguments)
     if arguments.corrected is not None:
@@ -107,6 +128,30 @@ def _take_over(arguments: argparse.Namespace, reader: RecordingReader) -> int:
         raise SetupError(str(error)) from None
     save_calibration(arguments.output, calibration, f"chachart calibrate --offsets {arguments.offsets.name}")
     print(arguments.output)
+    return 0
+
+
+def _arrays(arguments: argparse.Namespace) -> int:
+    """Find the poses of several arrays, and the offsets of their clocks."""
+    others = ("position", "offsets", "check", "per_start", "corrected")
+    if wrong := [f"--{name.replace('_', '-')}" for name in others if getattr(arguments, name)]:
+        raise SetupError(f"{' and '.join(wrong)} cannot be had with --arrays (known places: --places CSV)")
+    reader = RecordingReader(arguments.recording)
+    try:
+        survey = None if arguments.places is None else read_survey(arguments.places)
+    except ValueError as error:
+        raise SetupError(f"--places: {error}") from None
+    found, clock = placing.placed(reader, survey, arguments.ue, arguments.clock, arguments.clocks_only)
+    for line in placing.lines(found, clock):
+        print(line)
+    try:
+        if arguments.output is not None:
+            note = f"chachart calibrate --arrays {arguments.recording.name}, clock {clock}"
+            save_placements(arguments.output, tuple(one.placement for one in found), note)
+        if arguments.json is not None:
+            arguments.json.write_text(json.dumps(placing.as_json(found, clock), indent=2) + "\n")
+    except OSError as error:
+        raise SetupError(f"{error.filename} cannot be written: {error.strerror}") from None
     return 0
 
 

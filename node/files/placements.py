@@ -1,4 +1,4 @@
-"""Files of arrays' offsets and poses: what `chachart calibrate --arrays` writes and `fusion.calibration` names."""
+"""Files of arrays' poses and offsets: `chachart calibrate --arrays` writes what `fusion.calibration` has."""
 
 from __future__ import annotations
 

@@ -1,14 +1,16 @@
-"""The strongest path of single frames: its direction in the array's own frame and its delay, and how surely.
+"""The strongest path of single frames: its direction in the array's own frame, its delay, and how surely.
 
-The spectrum of plane waves says roughly where it is, then the exact matched filter's power P, of waves from so
-far as the UE is, is climbed by Newton's method. With noise of variance s^2 a sample, P / s^2 is the
+The spectrum of plane waves says roughly where it is, then the exact matched filter's power P, of waves from
+so far as the UE is, is climbed by Newton's method. With noise of variance s^2 a sample, P / s^2 is the
 log likelihood of one path, whose inverse curvature is the covariance.
 """
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +54,15 @@ class Paths:
     length_var: Floats
     share: Floats
 
+    def some(self, which: NDArray[np.intp]) -> Self:
+        """Only these frames."""
+        return type(self)(*(getattr(self, field.name)[which] for field in fields(self)))
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Self]) -> Self:
+        """All of several, one after the other."""
+        return cls(*(np.concatenate([getattr(p, field.name) for p in parts]) for field in fields(cls)))
+
 
 class Pathfinder:
     """Finds strongest paths of an array's frames.
@@ -81,8 +92,7 @@ class Pathfinder:
             part = slice(i, i + CHUNK)
             received = Received(self.site, self._receiver.prepared(csi[part]))
             parts.append(self._strongest(received, np.maximum(far_m[part], LEAST_NEAR_M)))
-        names = ("direction", "across", "angle_cov", "length_m", "length_var", "share")
-        return Paths(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+        return Paths.concatenate(parts)
 
     def _grid(self) -> tuple[Complex, Floats]:
         """Beams of the coarse search (D, N), and their own directions (D, 3)."""
@@ -111,7 +121,7 @@ class Pathfinder:
         across = self._across(direction)
         score = climbing.power(direction[:, None], length[:, None])[:, 0]
         for _ in range(STEPS):
-            there, slope, curvature = climbing.look(direction, across, length)
+            _, slope, curvature = climbing.look(direction, across, length)
             value, vector = np.linalg.eigh(curvature)
             least = 1e-2 * np.abs(value).max(axis=1, keepdims=True) + 1e-30
             step = np.einsum("kij,klj,kl,kj->ki", vector, vector, slope, 1 / np.maximum(np.abs(value), least))
