@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -54,6 +56,10 @@ class Placement:
             return array
         return replace(array, position_m=self.position_m, axis=self.axis, broadside=self.broadside)
 
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values; `Placement(**values)` reads them back."""
+        return asdict(self)
+
     def on_time(self, array: ArrayGeometry) -> ArrayGeometry:
         """The array with a calibration that undoes its clock's offset, too."""
         if not self.offset_s:
@@ -66,7 +72,7 @@ class Placement:
 
 
 def placed_arrays(
-    arrays: tuple[ArrayGeometry, ...], placements: tuple[Placement, ...]
+    arrays: Iterable[ArrayGeometry], placements: Iterable[Placement]
 ) -> tuple[ArrayGeometry, ...]:
     """The arrays where they really are.
 
@@ -75,7 +81,7 @@ def placed_arrays(
     ValueError
         If a placement is of none of them, or its pose is none.
     """
-    by_name = {one.name: one for one in placements}
+    arrays, by_name = tuple(arrays), {one.name: one for one in placements}
     if unknown := set(by_name) - {array.name for array in arrays}:
         there = ", ".join(array.name for array in arrays)
         raise ValueError(f"there is no array {', '.join(sorted(unknown))}, only {there}")

@@ -7,12 +7,16 @@ import tomllib
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import tomli_w
 from pydantic import Field, ValidationError
 
 from chachart.node.data.placement import Placement
 from chachart.node.data.pose import Vector
 from chachart.node.data.settings import Settings
+
+NOT_SQUARE = 1e-6
+"""Axes that are further from orthogonal, or from length 1, are none."""
 
 
 class PlacementTable(Settings):
@@ -65,11 +69,20 @@ def load_placements(path: Path) -> tuple[Placement, ...]:
         raise ValueError(f"{path} is no calibration of arrays: {where}: {first['msg']}") from None
     except ValueError as error:
         raise ValueError(f"{path} is no calibration of arrays: {error}") from None
+    names = [table.name for table in file.array]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"{path}: array {', '.join(twice)} is there twice")
     found = []
     for table in file.array:
         pose = (table.position_m, table.axis, table.broadside)
         if any(part is None for part in pose) and any(part is not None for part in pose):
             raise ValueError(f"{path}: array {table.name} must have position_m, axis and broadside, or none")
+        if table.axis is not None and table.broadside is not None:
+            square = np.array([table.axis, table.broadside]) @ np.array([table.axis, table.broadside]).T
+            if np.abs(square - np.eye(2)).max() > NOT_SQUARE:
+                raise ValueError(
+                    f"{path}: axis and broadside of array {table.name} must be orthogonal unit vectors"
+                )
         found.append(
             Placement(
                 table.name,

@@ -55,10 +55,11 @@ class Collector:
         SetupError
             If one of them cannot be opened.
         """
+        first, *others = plan.placed
         for sink_class, settings in plan.sinks:
             if not sink_class.wants_csi:
-                made = sink_class(settings, plan.array)
-                made.security, made.others = plan.security, plan.others
+                made = sink_class(settings, first)
+                made.security, made.others = plan.security, tuple(others)
                 sink = SinkThread(made, settings.type, SINK_QUEUE)
                 sink.open(node)
                 self.sinks.append(sink)

@@ -169,7 +169,7 @@ class Node(NodeAccess):
         return ue_list(self.chart())
 
     def chart_columns(self) -> dict[str, Any]:
-        return chart_columns(self.chart(), self._plan.array)
+        return chart_columns(self.chart(), self._plan.placed[0])
 
     def ask(self, operation: str, arguments: dict[str, Any]) -> dict[str, Any]:
         return self._pending.ask(operation, arguments)

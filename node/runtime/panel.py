@@ -110,10 +110,14 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
 def array_words(array: dict[str, Any]) -> str:
     """How one of several arrays does.
 
-    >>> array_words({"name": "C", "share": 0.4, "offset_ns": 3.1})
-    '40 % of the transmissions, clock 3.1 ns late'
+    >>> array_words({"name": "C", "share": 0.4, "offset_ns": 3.1, "offset_std_ns": 0.2})
+    '40 % of the transmissions, clock 3.1 ± 0.2 ns late'
     """
-    late = "" if array["offset_ns"] is None else f", clock {array['offset_ns']:.1f} ns late"
+    std = array.get("offset_std_ns")
+    about = "" if std is None else f" ± {std:.1f}"
+    late = "" if array["offset_ns"] is None else f", clock {array['offset_ns']:.1f}{about} ns late"
+    if array.get("drift_ns") is not None:
+        late += f" ({array['drift_ns']:+.1f} since calibration)"
     return f"{100 * array['share']:.0f} % of the transmissions{late}"
 
 

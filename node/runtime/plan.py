@@ -19,9 +19,11 @@ from chachart.config.settings import (
 )
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.data.placement import Placement, placed_arrays
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
 from chachart.node.estimation.options import Options
+from chachart.node.files.placements import load_placements
 from chachart.node.files.url_folders import folder_at
 from chachart.node.net.security import SecuritySettings, security_problems
 from chachart.node.runtime.capacity import capacity_problems, frame_problems
@@ -68,11 +70,13 @@ class Plan:
     Attributes
     ----------
     array, others
-        The first array, and all others.
+        The first array, and all others, as they are described.
     source, source_settings, sinks
         Classes with their settings; the source is the first one.
     further
         The sources after the first, each with its arrays.
+    placements
+        What `[fusion] calibration` says of the arrays.
     estimator, workers, quality, state, security, fusion, tracking
         The other sections of the configuration.
     time_tolerance_s
@@ -93,6 +97,7 @@ class Plan:
     fusion: FusionOptions = field(default_factory=FusionOptions)
     tracking: TrackingOptions = field(default_factory=TrackingOptions)
     further: tuple[Feed, ...] = ()
+    placements: tuple[Placement, ...] = ()
 
     @classmethod
     def of(cls, settings: NodeSettings) -> Plan:
@@ -101,7 +106,7 @@ class Plan:
         Raises
         ------
         SetupError
-            If a source or sink is unknown, or the array is not clear.
+            If a source or sink is unknown, the array is not clear, or the calibration of arrays does not fit.
         """
         first, *further = _feeds(settings)
         estimator = settings.estimator
@@ -124,6 +129,7 @@ class Plan:
             settings.fusion,
             settings.tracking,
             tuple(further),
+            _placements(settings.fusion, arrays),
         )
 
     @property
@@ -131,6 +137,11 @@ class Plan:
         """All sources, each with its arrays."""
         own = len(self.others) - sum(len(feed.arrays) for feed in self.further)
         return (Feed(self.source, self.source_settings, (self.array, *self.others[:own])), *self.further)
+
+    @property
+    def placed(self) -> tuple[ArrayGeometry, ...]:
+        """All arrays, where calibration says that they are."""
+        return placed_arrays((self.array, *self.others), self.placements)
 
     @property
     def sources(self) -> str:
@@ -152,7 +163,10 @@ class Plan:
     def misfits(self) -> list[str]:
         """Why the array cannot be charted, or several cannot be fused or their UEs tracked."""
         if self.several() is None:
-            return estimator_problems(self.array, self.estimator)
+            alone = (
+                "[fusion] calibration is of several arrays or tracked UEs; one array has [array] calibration"
+            )
+            return [*([alone] if self.placements else []), *estimator_problems(self.array, self.estimator)]
         try:
             estimator_of(self.array, self.estimator.keywords() | {"max_ues": 1}, self.several())
         except ValueError as error:
@@ -200,6 +214,7 @@ class Plan:
             "others": [other.as_dict() for other in self.others],
             "fusion": fusion,
             "tracking": self.tracking.model_dump(mode="json"),
+            "placements": [place.as_dict() for place in self.placements],
         }
 
     def worker_estimator(self) -> dict[str, Any]:
@@ -253,6 +268,15 @@ def _described(configured: ArraySettings) -> ArrayGeometry:
         return replace(configured.geometry(), calibration=configured.correction())
     except ValueError as error:
         raise SetupError(f"[array]: {error}") from None
+
+
+def _placements(fusion: FusionOptions, arrays: list[ArrayGeometry]) -> tuple[Placement, ...]:
+    try:
+        found = () if fusion.calibration is None else load_placements(fusion.calibration)
+        placed_arrays(arrays, found)
+    except ValueError as error:
+        raise SetupError(f"[fusion] calibration: {error}") from None
+    return found
 
 
 def _feeds(settings: NodeSettings) -> Iterator[Feed]:

@@ -17,6 +17,7 @@ from chachart.node.data.chart import ChartUpdate, Method
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.errors import RequestError
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.data.placement import Placement
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.fusion.estimator import FusedEstimator
 from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
@@ -285,7 +286,8 @@ def estimator_of(
     arrays = [array, *(ArrayGeometry.from_dict(other) for other in several["others"])]
     fusion = FusionOptions.model_validate_json(json.dumps(several["fusion"]))
     tracking = TrackingOptions.model_validate(several["tracking"])
-    return FusedEstimator(arrays, fusion, tracking, Options.of(**estimator))
+    placements = [Placement(**place) for place in several["placements"]]
+    return FusedEstimator(arrays, fusion, tracking, Options.of(**estimator), placements)
 
 
 def _plain(value: Any) -> Any:

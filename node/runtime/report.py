@@ -116,17 +116,22 @@ class Reporter:
 
 
 def _arrays(reports: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
-    """What all workers say of the arrays together: {name, share, offset_ns}."""
+    """What all workers say of the arrays together: `NodeStatus.arrays`."""
     told = [report for report in reports if report]
     found = []
     for of_one in zip(*told, strict=True):
         transmissions = sum(one["transmissions"] for one in of_one)
-        offsets = sorted(one["offset_ns"] for one in of_one if one["offset_ns"] is not None)
+        clocks = sorted((one for one in of_one if one["offset_ns"] is not None), key=_offset)
+        middle = clocks[len(clocks) // 2] if clocks else {}
         found.append(
             {
                 "name": of_one[0]["name"],
                 "share": sum(one["heard"] for one in of_one) / transmissions if transmissions else 0.0,
-                "offset_ns": offsets[len(offsets) // 2] if offsets else None,
+                **{name: middle.get(name) for name in ("offset_ns", "offset_std_ns", "drift_ns")},
             }
         )
     return found
+
+
+def _offset(array: dict[str, Any]) -> float:
+    return float(array["offset_ns"])

@@ -78,7 +78,8 @@ class NodeStatus:
         (since its last frame), ended, details}; pid is None while there is no process.
     arrays
         Where several are fused, one map each: {name, share (of the last transmissions that it has heard),
-        offset_ns (how late its clock is, None where that means nothing)}.
+        offset_ns (how late its clock is, None where that means nothing), offset_std_ns (deviation of that),
+        drift_ns (what of it [fusion] calibration does not take off, None without one)}.
     """
 
     state: str = "starting"

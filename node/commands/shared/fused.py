@@ -18,6 +18,7 @@ from chachart.node.estimation.fusion.estimator import FusedEstimator
 from chachart.node.estimation.fusion.options import FusionOptions
 from chachart.node.estimation.quality import neighbourhoods
 from chachart.node.estimation.tracking.smoother import Logbook
+from chachart.node.files.placements import load_placements
 from chachart.node.files.recording import RecordingReader
 
 OUTLIER_M = 10.0
@@ -36,9 +37,9 @@ def estimator_of(reader: RecordingReader, settings: NodeSettings) -> FusedEstima
     if area is not None and fusion.area_m is None and fusion.outline_m is None:
         fusion = FusionOptions.model_validate({**fusion.model_dump(), "area_m": tuple(area)})
     try:
-        return FusedEstimator(
-            reader.arrays, fusion, settings.tracking, settings.estimator.obeying(reader.facts)
-        )
+        placements = () if fusion.calibration is None else load_placements(fusion.calibration)
+        options = settings.estimator.obeying(reader.facts)
+        return FusedEstimator(reader.arrays, fusion, settings.tracking, options, placements)
     except ValueError as error:
         raise SetupError(f"[fusion]: {error}") from None
 

@@ -16,6 +16,7 @@ from chachart.node.data.csi import CsiBlock
 from chachart.node.data.facts import Delay
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.methods import FUSION
+from chachart.node.data.placement import Placement, placed_arrays
 from chachart.node.estimation.fusion.area import Area
 from chachart.node.estimation.fusion.certainty import Fused
 from chachart.node.estimation.fusion.events import Events, Gathering
@@ -51,6 +52,8 @@ class FusedEstimator:
     options
         What counts of them: `max_ues`, `forget_after_s`, and `delay`: whether UEs share the arrays'
         clock.
+    placements
+        Where arrays really are, and what their clocks are late: taken off.
 
     Attributes
     ----------
@@ -64,7 +67,7 @@ class FusedEstimator:
     Raises
     ------
     ValueError
-        If an array or an option does not fit.
+        If an array, an option or a placement does not fit.
     """
 
     def __init__(
@@ -73,13 +76,17 @@ class FusedEstimator:
         fusion: FusionOptions | None = None,
         tracking: TrackingOptions | None = None,
         options: Options | None = None,
+        placements: Sequence[Placement] = (),
     ) -> None:
-        self.arrays = tuple(arrays)
+        self.arrays = placed_arrays(arrays, placements)
         self.fusion, self.tracking = fusion or FusionOptions(), tracking or TrackingOptions()
         self._number = {array.name: i for i, array in enumerate(self.arrays)}
         if len(self._number) < len(self.arrays):
             raise ValueError(f"arrays must have different names, not {[a.name for a in self.arrays]}")
-        self._receivers = [Receiver(array) for array in self.arrays]
+        known = {one.name: one for one in placements}
+        places = [known.get(array.name, Placement(array.name)) for array in self.arrays]
+        on_time = [place.on_time(array) for place, array in zip(places, self.arrays, strict=True)]
+        self._receivers = [Receiver(array) for array in on_time]
         sites = [receiver.site for receiver in self._receivers]
         self.options = options or Options()
         if self.fusion.clock == "shared" and self.options.delay == "relative":
@@ -90,7 +97,7 @@ class FusedEstimator:
             clock_of(self.arrays, self.options.delay) if self.fusion.clock == "auto" else self.fusion.clock
         )
         self._ground = self._area()
-        alone = self.arrays[0]
+        alone = on_time[0]
         self._fuser: Fuser | SingleArray = (
             SingleArray(alone, self._ground.height_m)
             if len(self.arrays) == 1
@@ -101,7 +108,7 @@ class FusedEstimator:
             shapes = [(alone.antennas, alone.subcarriers)]
         self._gathering = Gathering(shapes, self.fusion.window_ms, self._frames_a_position())
         self._memory, self._tracker = self._remembering()
-        self._looks, self._watch = Looks(sites, self.arrays), ArrayWatch(sites, self.clock)
+        self._looks, self._watch = Looks(sites, self.arrays), ArrayWatch(sites, self.clock, places)
         self.rejected, self.heard = Counters(), Counters()
         self.logbook: Logbook | None = None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -32,6 +33,9 @@ class FusionOptions(Settings):
     """Corners of a polygon that UEs are inside, as a building's; besides area_m or instead of it."""
     window_ms: float = Field(20.0, gt=0)
     """Frames of a UE that follow each other within this time are of one transmission."""
+
+    calibration: Path | None = None
+    """A file of `chachart calibrate --arrays`: where the arrays really are, and how late their clocks."""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.fft import ifft
 
+from chachart.node.data.placement import Placement
 from chachart.node.estimation.fusion.certainty import Fused
 from chachart.node.estimation.fusion.events import Events
 from chachart.node.estimation.fusion.fuser import Clock
@@ -20,6 +21,8 @@ SAMPLES = 101
 """Transmissions whose median offsets are."""
 SURE = 0.1
 """A position that is an outlier with more than this probability tells nothing of clocks."""
+MEDIAN = 1.2533
+"""Deviation of a median against that of a mean."""
 LEAST_SHARE = 0.5
 """Nor does an array of whose energy less comes on one path from there."""
 
@@ -33,10 +36,12 @@ class ArrayWatch:
         The arrays.
     clock
         What they share: where they share none, clocks are not looked at.
+    placements
+        What calibration has said of each, and is taken off already.
     """
 
-    def __init__(self, sites: Sequence[Site], clock: Clock) -> None:
-        self._sites, self._clock = tuple(sites), clock
+    def __init__(self, sites: Sequence[Site], clock: Clock, placements: Sequence[Placement]) -> None:
+        self._sites, self._clock, self._placements = tuple(sites), clock, tuple(placements)
         self._heard = np.zeros(len(self._sites))
         self._count = 0.0
         self._late: list[deque[float]] = [deque(maxlen=SAMPLES) for _ in self._sites]
@@ -62,16 +67,32 @@ class ArrayWatch:
             self._late[b].append((metres - common) / self._sites[b].light_speed_m_s * 1e9)
 
     def report(self) -> list[dict[str, Any]]:
-        """One map an array: {name, heard, transmissions, offset_ns}; the offset is None where unknown."""
-        return [
-            {
-                "name": site.name,
-                "heard": float(self._heard[b]),
-                "transmissions": self._count,
-                "offset_ns": float(np.median(self._late[b])) if self._late[b] else None,
-            }
-            for b, site in enumerate(self._sites)
-        ]
+        """One map an array: {name, heard, transmissions, offset_ns, offset_std_ns, drift_ns}.
+
+        The offset is what calibration has said, if anything, and the drift what is seen besides; its
+        deviation is that of both. None where unknown; without a calibration there is no drift.
+        """
+        found = []
+        for b, (site, place) in enumerate(zip(self._sites, self._placements, strict=True)):
+            told = None if place.offset_s is None or self._clock == "own" else 1e9 * place.offset_s
+            late = np.array(self._late[b])
+            offset, std = told, None if told is None else 1e9 * place.offset_std_s
+            drift = float(np.median(late)) if len(late) else None
+            if drift is not None:
+                spread = 1.4826 * float(np.median(np.abs(late - drift)))
+                offset = drift + (told or 0.0)
+                std = float(np.hypot(MEDIAN * spread / np.sqrt(len(late)), std or 0.0))
+            found.append(
+                {
+                    "name": site.name,
+                    "heard": float(self._heard[b]),
+                    "transmissions": self._count,
+                    "offset_ns": offset,
+                    "offset_std_ns": std,
+                    "drift_ns": None if told is None else drift,
+                }
+            )
+        return found
 
     def _lateness_m(self, number: int, frame: Complex, position: Floats) -> float | None:
         """By how much the strongest path from there is later than the distance says; None if it is weak."""

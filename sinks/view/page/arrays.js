@@ -12,20 +12,28 @@ const COLOURS = ['a', 'b', 'accent', 'good', 'warn', 'bad'];
 export function showArrays({ arrays = [], sources = [] }) {
   $('arrays').hidden = arrays.length < 2;
   const quiet = (name) => sources.find((source) => source.name.split(', ').includes(name));
-  $('arraytable').tBodies[0].replaceChildren(...arrays.map(({ name, share, offset_ns: offset }) => {
+  $('arraytable').tBodies[0].replaceChildren(...arrays.map(({ name, share, ...clock }) => {
     const row = document.createElement('tr');
     const source = quiet(name);
     const silent = source && !source.ended && source.live && source.quiet_s > 3;
     const texts = [
       name,
       `${Math.round(100 * share)} %`,
-      offset === null ? '–' : `${number(offset, 2)} ns`,
+      lateness(clock),
       silent ? `nothing for ${source.quiet_s.toFixed(0)} s` : source && source.pid === null && !source.ended ? 'restarting' : 'heard',
     ];
     for (const text of texts) row.insertCell().textContent = text;
     row.className = silent ? 'warn' : '';
     return row;
   }));
+}
+
+/** How late a clock is, how surely, and what of it calibration does not take off. */
+function lateness({ offset_ns: offset, offset_std_ns: std = null, drift_ns: drift = null }) {
+  if (offset === null) return '–';
+  const about = std === null ? '' : ` ± ${number(std, 1)}`;
+  const left = drift === null ? '' : `, ${number(drift, 1)} uncorrected`;
+  return `${number(offset, 2)}${about} ns${left}`;
 }
 
 /** Power over bearing and over range, a line an array; gives the bearings that are worth drawing. */
