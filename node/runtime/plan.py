@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from chachart.config.load import NodeSettings
@@ -272,7 +273,7 @@ def _described(configured: ArraySettings) -> ArrayGeometry:
 
 def _placements(fusion: FusionOptions, arrays: list[ArrayGeometry]) -> tuple[Placement, ...]:
     try:
-        found = () if fusion.calibration is None else load_placements(fusion.calibration)
+        found = () if fusion.calibration is None else load_placements(Path(fusion.calibration))
         placed_arrays(arrays, found)
     except ValueError as error:
         raise SetupError(f"[fusion] calibration: {error}") from None

@@ -59,14 +59,18 @@ def hall(seed: int = 0, off_m: float = 0.4, off_rad: float = 0.08) -> Hall:
 
 
 def heard(
-    array: ArrayGeometry, places: NDArray[np.float64], late_s: NDArray[np.float64], rng: np.random.Generator
+    array: ArrayGeometry,
+    places: NDArray[np.float64],
+    late_s: NDArray[np.float64],
+    share: float,
+    rng: np.random.Generator,
 ) -> NDArray[np.complex64]:
-    """Frames (K, N, S) at 15 dB, of which a third have an echo from elsewhere that is stronger."""
+    """Frames (K, N, S) at 15 dB, of which a share have an echo from elsewhere that is stronger."""
     wave = spherical(array, places)
     wave /= np.abs(wave).mean(axis=(1, 2), keepdims=True)
     echo = spherical(array, places + rng.uniform(-6, 6, places.shape) * (1.0, 1.0, 0.2))
     echo /= np.abs(echo).mean(axis=(1, 2), keepdims=True)
-    lost = rng.random(len(places)) < 1 / 3
+    lost = rng.random(len(places)) < share
     frames = np.where(lost, 0.3, 1.0)[:, None, None] * wave + np.where(lost, 1.0, 0.1)[:, None, None] * echo
     frames = frames * np.exp(-2j * np.pi * late_s[:, None, None] * array.offsets_hz)
     noise = rng.standard_normal((*frames.shape, 2)).view(np.complex128)[..., 0]
@@ -74,7 +78,13 @@ def heard(
 
 
 def write_recording(
-    path: Path, there: Hall, seed: int, own_clocks: bool = False, positions: bool = True, ues: int = 60
+    path: Path,
+    there: Hall,
+    seed: int,
+    own_clocks: bool = False,
+    positions: bool = True,
+    ues: int = 60,
+    echoes: float = 1 / 3,
 ) -> NDArray[np.float64]:
     """Three transmissions of each of so many UEs; gives their places (U, 3)."""
     rng = np.random.default_rng(seed)
@@ -86,7 +96,7 @@ def write_recording(
             own = rng.uniform(0, 200e-9, ues) if own_clocks else np.zeros(ues)
             for one, described, late_s in zip(there.right, there.described, there.late_s, strict=True):
                 time_ns = START_NS + turn * 1_000_000_000 + np.arange(ues) * 1_000
-                csi = heard(one, places, own + late_s, rng)
+                csi = heard(one, places, own + late_s, echoes, rng)
                 told = places if positions else None
                 writer.write(CsiBlock.of(csi, np.arange(ues), time_ns, told, array=described.name))
     return places

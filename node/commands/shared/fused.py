@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ def estimator_of(reader: RecordingReader, settings: NodeSettings) -> FusedEstima
     if area is not None and fusion.area_m is None and fusion.outline_m is None:
         fusion = FusionOptions.model_validate({**fusion.model_dump(), "area_m": tuple(area)})
     try:
-        placements = () if fusion.calibration is None else load_placements(fusion.calibration)
+        placements = () if fusion.calibration is None else load_placements(Path(fusion.calibration))
         options = settings.estimator.obeying(reader.facts)
         return FusedEstimator(reader.arrays, fusion, settings.tracking, options, placements)
     except ValueError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -34,7 +33,7 @@ class FusionOptions(Settings):
     window_ms: float = Field(20.0, gt=0)
     """Frames of a UE that follow each other within this time are of one transmission."""
 
-    calibration: Path | None = None
+    calibration: str | None = Field(None, min_length=1, examples=["arrays.toml"])
     """A file of `chachart calibrate --arrays`: where the arrays really are, and how late their clocks."""
 
     @model_validator(mode="after")

@@ -21,6 +21,8 @@ SAMPLES = 101
 """Transmissions whose median offsets are."""
 SURE = 0.1
 """A position that is an outlier with more than this probability tells nothing of clocks."""
+LEAST_SAMPLES = 3
+"""With fewer, nobody knows how far they spread."""
 MEDIAN = 1.2533
 """Deviation of a median against that of a mean."""
 LEAST_SHARE = 0.5
@@ -81,7 +83,8 @@ class ArrayWatch:
             if drift is not None:
                 spread = 1.4826 * float(np.median(np.abs(late - drift)))
                 offset = drift + (told or 0.0)
-                std = float(np.hypot(MEDIAN * spread / np.sqrt(len(late)), std or 0.0))
+                seen = float(np.hypot(MEDIAN * spread / np.sqrt(len(late)), std or 0.0))
+                std = seen if len(late) >= LEAST_SAMPLES else None
             found.append(
                 {
                     "name": site.name,
