@@ -106,15 +106,15 @@ class NodeAccess(Protocol):
             If the source is no recording, or there is no such time.
         """
 
-    def start_recording(self, path: Path) -> dict[str, Any]:
-        """Record the CSI that comes in; {on, where, received, dropped, ...}.
+    def start_recording(self, path: Path, compression: str = "none") -> dict[str, Any]:
+        """Record the CSI that comes in; {on, where, received, dropped, ...}. `compression` is none or zstd.
 
         Raises
         ------
         RequestError
             If the file cannot be written or a recording runs already; nothing has changed then.
         """
-        return self.ask("start_recording", {"path": str(path)})
+        return self.ask("start_recording", {"path": str(path), "compression": compression})
 
     def stop_recording(self) -> dict[str, Any]:
         """Close the recording that `start_recording` began; {on, where, received, dropped, ...}.

@@ -8,7 +8,8 @@
     recordings                      what is in the recording folder
     set_method theta, rho           estimate with these methods from now on
     replay     paused, speed, at_s  pause, pace and wind a recording that is played; all of them optional
-    start_recording  path           record the CSI that comes in to a file of that name
+    start_recording  path           record the CSI that comes in to a file of that name;
+                                    with `compression`, "none" or "zstd"
     stop_recording                  close that recording
 
 `method` for `set_method`, and `record` with `on` and `path`, are older names of the same. A request that does
@@ -78,6 +79,7 @@ class _Replay(Settings):
 class _StartRecording(Settings):
     op: Literal["start_recording"]
     path: str = Field(max_length=128, pattern=_FILE_NAME)
+    compression: Literal["none", "zstd"] = "none"
 
 
 class _StopRecording(Settings):
@@ -88,6 +90,7 @@ class _Record(Settings):
     op: Literal["record"]
     on: bool
     path: str | None = Field(None, max_length=128, pattern=_FILE_NAME)
+    compression: Literal["none", "zstd"] = "none"
 
     @model_validator(mode="after")
     def _named(self) -> _Record:
@@ -194,17 +197,17 @@ class Operations:
             case _Replay():
                 return self._node.replay(paused=asked.paused, speed=asked.speed, at_s=asked.at_s)
             case _StartRecording(path=str(path)) | _Record(on=True, path=str(path)):
-                return self._record(path)
+                return self._record(path, asked.compression)
             case _:
                 return self._node.stop_recording()
 
-    def _record(self, path: str) -> dict[str, Any]:
+    def _record(self, path: str, compression: str) -> dict[str, Any]:
         target = self._folder / path
         if target.exists():
             raise RequestError(f"{path} is there already; recordings are never overwritten")
         if not self._folder.is_dir():
             raise RequestError(f"the recording folder {self._folder} does not exist")
-        return self._node.start_recording(target)
+        return self._node.start_recording(target, compression)
 
 
 def _only_reads(request: Mapping[str, Any]) -> bool:

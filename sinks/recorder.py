@@ -23,6 +23,8 @@ class RecorderSettings(FileSinkSettings):
     """The file; `{time}` becomes the UTC time, and a number is added where a name is taken."""
     max_bytes: int = Field(1024**3, ge=1024**2)
     """A file that has grown so long is closed and the next one begun."""
+    compression: Literal["none", "zstd"] = "none"
+    """`zstd` makes files shorter, by much where samples were small whole numbers, at a cost in time."""
     flush_s: float = Field(1.0, gt=0)
     """Frames go to the operating system after so many seconds at the latest."""
 
@@ -45,4 +47,5 @@ class Recorder(FileSink[RecordingWriter]):
 
     def _begin(self) -> tuple[Path, RecordingWriter]:
         path = free_name(self.settings.path)
-        return path, RecordingWriter(path, self.array, facts=self.facts, others=self.others)
+        zstd = self.settings.compression == "zstd"
+        return path, RecordingWriter(path, self.array, facts=self.facts, others=self.others, zstd=zstd)

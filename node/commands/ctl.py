@@ -60,7 +60,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     record = operation("record", "start or stop a recording", _show_record).add_subparsers(required=True)
     start = record.add_parser("start", help="record to PATH, a file name in the node's recording folder")
     start.add_argument("path", metavar="PATH")
-    start.set_defaults(on=True)
+    packed = {"dest": "compression", "action": "store_const", "const": "zstd"}
+    start.add_argument("--zstd", help="compress it", **packed)
+    start.set_defaults(on=True, compression="none")
     record.add_parser("stop", help="close the recording").set_defaults(on=False)
     replay = operation("replay", "pause, pace and wind a recording that is played", _show_replay)
     replay.add_argument("--pause", dest="paused", action="store_true", default=None, help="stand still")

@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     note = report.note(parts, captures[0].format, options)
     with (
         written_whole(arguments.recording) as file,
-        RecordingWriter(file, array, note=note, facts=facts) as writer,
+        RecordingWriter(file, array, note=note, facts=facts, zstd=arguments.zstd) as writer,
         progress("importing", total) as advance,
     ):
         for block in table.blocks(array.name, arguments.repeat, arguments.rate, arguments.seed):

@@ -1,8 +1,8 @@
-"""The chunks of an uncompressed MCAP file, closed or cut off anywhere.
+"""The chunks of an MCAP file, uncompressed or with zstd, closed or cut off anywhere.
 
 The `mcap` package reads a closed file well, but copies every message twice and reads nothing by time from a
 file whose writer was killed. Here sizes are checked against the file before anything is read, every chunk
-against its CRC-32, and messages are views of the chunk.
+against its CRC-32, and messages are views of the chunk. What a chunk unpacks to is bounded by what it says.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+import zstandard
 from isal.isal_zlib import crc32
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -25,6 +26,9 @@ from chachart.node.files.foreign import contents
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 512 * 1024 * 1024
+MAX_UNPACKED_BYTES = 64 * 1024 * 1024
+"""Chunks are written of some hundred KiB, by other tools of a few MiB."""
+ZSTD = b"zstd"
 MAX_SUMMARY_BYTES = 256 * 1024 * 1024
 MAX_METADATA_BYTES = 16 * 1024 * 1024
 
@@ -102,7 +106,7 @@ def read_messages(file: BinaryIO, chunk: ChunkSpan) -> Iterator[Message]:
     Raises
     ------
     DamagedChunk
-        With reason `chunk_cut`, `chunk_crc` or `chunk_layout`.
+        With reason `chunk_cut`, `chunk_crc`, `chunk_compression` or `chunk_layout`.
     """
     file.seek(chunk.offset)
     content = memoryview(file.read(chunk.length))
@@ -133,13 +137,31 @@ def _records(content: memoryview) -> Iterator[tuple[int, memoryview]]:
 def _chunk_records(content: memoryview) -> memoryview:
     if len(content) < CHUNK.size + 8:
         raise DamagedChunk("chunk_layout")
-    _, _, _, crc, compression = CHUNK.unpack_from(content)
-    start = CHUNK.size + compression + 8
-    if compression or int.from_bytes(content[start - 8 : start], "little") != len(content) - start:
+    _, _, size, crc, length = CHUNK.unpack_from(content)
+    start = CHUNK.size + length + 8
+    compression = bytes(content[CHUNK.size : CHUNK.size + length])
+    if int.from_bytes(content[start - 8 : start], "little") != len(content) - start:
         raise DamagedChunk("chunk_layout")
-    if crc and crc32(content[start:]) != crc:
+    if compression not in (b"", ZSTD):
+        raise DamagedChunk("chunk_compression")
+    records = _unpacked(content[start:], size) if compression else content[start:]
+    if crc and crc32(records) != crc:
         raise DamagedChunk("chunk_crc")
-    return content[start:]
+    return records
+
+
+def _unpacked(packed: memoryview, size: int) -> memoryview:
+    """The `size` bytes that zstd packed: no more is ever unpacked."""
+    if size > MAX_UNPACKED_BYTES:
+        raise DamagedChunk("chunk_compression")
+    try:
+        unpacker = zstandard.ZstdDecompressor(max_window_size=MAX_UNPACKED_BYTES)
+        records = unpacker.stream_reader(packed).read(size + 1)
+    except zstandard.ZstdError:
+        raise DamagedChunk("chunk_compression") from None
+    if len(records) != size:
+        raise DamagedChunk("chunk_compression")
+    return memoryview(records)
 
 
 def _from_summary(path: Path, file: BinaryIO, size: int) -> FileIndex | None:
@@ -214,7 +236,7 @@ def _add_metadata(index: FileIndex, content: bytes) -> None:
 
 
 def _check_compression(path: Path, compression: str) -> None:
-    if compression:
+    if compression not in ("", ZSTD.decode()):
         raise SetupError(
             f"{path} is compressed with {compression}{_held(path)}; `mcap decompress` makes it readable here"
         )

@@ -1,4 +1,4 @@
-"""Writes an uncompressed MCAP file of one channel, chunk by chunk, without copying a message.
+"""Writes an MCAP file of one channel, chunk by chunk, without copying a message that is not compressed.
 
 The `mcap` package's own writer copies every message five times on its way to the file, and that is most of
 what recording costs.
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import zstandard
 from isal.isal_zlib import crc32
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -28,10 +29,12 @@ from mcap.records import (
 )
 
 from chachart.node.data.version import build
-from chachart.node.files.mcap_chunks import CHUNK, MAGIC, MESSAGE, RECORD
+from chachart.node.files.mcap_chunks import CHUNK, MAGIC, MESSAGE, RECORD, ZSTD
 from chachart.node.files.whole_file import WholeFile
 
 _CHANNEL = _SCHEMA = 1
+ZSTD_LEVEL = 1
+"""Higher ones cost much and save little of what is mostly noise."""
 
 
 class OutgoingMessage(NamedTuple):
@@ -55,10 +58,22 @@ class McapWriter:
         Of the channel: its name, and how its messages are encoded.
     schema_name, schema
         Of the messages, as text for people.
+    zstd
+        Whether chunks are compressed where that makes them shorter.
     """
 
-    def __init__(self, file: WholeFile, topic: str, encoding: str, schema_name: str, schema: bytes) -> None:
+    def __init__(
+        self,
+        file: WholeFile,
+        topic: str,
+        encoding: str,
+        schema_name: str,
+        schema: bytes,
+        *,
+        zstd: bool = False,
+    ) -> None:
         self._file = file
+        self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL) if zstd else None
         self._schema = _encoded(Schema(id=_SCHEMA, name=schema_name, encoding="text/plain", data=schema))
         self._channel = _encoded(
             Channel(id=_CHANNEL, topic=topic, message_encoding=encoding, metadata={}, schema_id=_SCHEMA)
@@ -103,8 +118,11 @@ class McapWriter:
         for piece in pieces:
             crc = crc32(piece, crc)
         start, end = min(places)[0], max(places)[0]
-        head = RECORD.pack(Opcode.CHUNK, CHUNK.size + 8 + size)
-        head += CHUNK.pack(start, end, size, crc, 0) + size.to_bytes(8, "little")
+        compression, pieces, length = self._packed(pieces, size)
+        head = RECORD.pack(Opcode.CHUNK, CHUNK.size + len(compression) + 8 + length)
+        head += (
+            CHUNK.pack(start, end, size, crc, len(compression)) + compression + length.to_bytes(8, "little")
+        )
         index = _encoded(MessageIndex(_CHANNEL, places))
         position = self._file.tell()
         self._file.write_all([head, *pieces, index])
@@ -112,16 +130,26 @@ class McapWriter:
         self._chunks.append(
             ChunkIndex(
                 chunk_start_offset=position,
-                chunk_length=len(head) + size,
+                chunk_length=len(head) + length,
                 message_start_time=start,
                 message_end_time=end,
-                message_index_offsets={_CHANNEL: position + len(head) + size},
+                message_index_offsets={_CHANNEL: position + len(head) + length},
                 message_index_length=len(index),
-                compression="",
-                compressed_size=size,
+                compression=compression.decode(),
+                compressed_size=length,
                 uncompressed_size=size,
             )
         )
+
+    def _packed(
+        self, pieces: list[bytes | memoryview], size: int
+    ) -> tuple[bytes, list[bytes | memoryview], int]:
+        """How a chunk's content goes to the file: its compression, its pieces and their length."""
+        if self._compressor is not None:
+            packed = self._compressor.compress(b"".join(pieces))
+            if len(packed) < size:
+                return ZSTD, [packed], len(packed)
+        return b"", pieces, size
 
     def finish(self) -> None:
         """Write the index; nothing may be written after it.

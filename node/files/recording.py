@@ -6,8 +6,8 @@ The layout, for whoever reads such a file with another tool:
   (JSON, the fields of `ArrayGeometry`, calibration included), `others` (JSON, a list of further arrays, where
   several measured; each frame says whose it is), `note` (JSON, what the writer had to say) and
   `facts` (JSON, what phase and delay mean and who the UEs are; older recordings have none).
-- Chunks of 256 KiB without compression; CSI is noise to a compressor. Each goes to the operating system when
-  it is full: a writer that is killed loses its last chunk and nothing else.
+- Chunks of 256 KiB, by default without compression: CSI is mostly noise to a compressor. Each goes to the
+  operating system when it is full: a writer that is killed loses its last chunk and nothing else.
 - One channel `csi`, one message a block of up to 64 frames: a msgpack map with the fields of a protocol 1 CSI
   header and the samples themselves as `csi` (raw little-endian, antennas by subcarriers, frame after frame).
   `log_time` is the time of the block's earliest frame, `publish_time` that of its latest.
@@ -66,6 +66,8 @@ class RecordingWriter:
         What phase and delay mean and who the UEs are; not given: a coherent array with a clock.
     others
         Further arrays, each with a name of its own.
+    zstd
+        Whether chunks are compressed, where that makes them shorter.
     chunk_bytes
         A chunk goes to the operating system when it holds so much.
 
@@ -83,6 +85,7 @@ class RecordingWriter:
         note: Mapping[str, Any] | None = None,
         facts: CaptureFacts | None = None,
         others: Sequence[ArrayGeometry] = (),
+        zstd: bool = False,
         chunk_bytes: int = 256 * 1024,
     ) -> None:
         self.path = Path(path)
@@ -99,7 +102,7 @@ class RecordingWriter:
         except OSError as error:
             raise SetupError(f"cannot write {path}: {error.strerror}") from None
         try:
-            self._writer = McapWriter(self._file, "csi", "msgpack", "chachart.csi", _SCHEMA)
+            self._writer = McapWriter(self._file, "csi", "msgpack", "chachart.csi", _SCHEMA, zstd=zstd)
             head = {"format": FORMAT, "array": json.dumps(array.as_dict()), "note": json.dumps(note or {})}
             head["facts"] = json.dumps((facts or CaptureFacts()).as_dict())
             if others:

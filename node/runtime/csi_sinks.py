@@ -62,11 +62,11 @@ class CsiSinks:
         return thread
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Carry out `start_recording` {path} or `stop_recording`: {result} or {error}."""
+        """Carry out `start_recording` {path, compression} or `stop_recording`: {result} or {error}."""
         operation = request["operation"]
         try:
             if operation == "start_recording":
-                return {"result": self.start_recording(request["arguments"]["path"])}
+                return {"result": self.start_recording(**request["arguments"])}
             return {"result": self.stop_recording()}
         except RequestError as error:
             return {"error": str(error)}
@@ -74,7 +74,7 @@ class CsiSinks:
             log.exception("%s failed", operation)
             return {"error": f"{operation} failed: {error}"}
 
-    def start_recording(self, path: str) -> dict[str, Any]:
+    def start_recording(self, path: str, compression: str) -> dict[str, Any]:
         """Record to that file from now on; gives what `recorder` tells about itself.
 
         Raises
@@ -88,7 +88,8 @@ class CsiSinks:
             if self._recording is not None:
                 raise RequestError(f"already recording to {self._recording.where()}")
             try:
-                self._recording = self.add(sink_class("recorder"), {"type": "recorder", "path": path})
+                made = {"type": "recorder", "path": path, "compression": compression}
+                self._recording = self.add(sink_class("recorder"), made)
             except (SetupError, ValueError) as error:
                 raise RequestError(str(error).splitlines()[0]) from None
             return {"on": True, **self._recording.status()}

@@ -244,7 +244,7 @@ def test_a_recording_is_started_and_stopped_by_request(make_node: MakeNode, tmp_
     node = make_node(loops=0)
     node.start()
     path = tmp_path / "by-request.mcap"
-    assert node.start_recording(path)["on"]
+    assert node.start_recording(path, "zstd")["on"]
     with pytest.raises(RequestError, match="already recording"):
         node.start_recording(path)
     until(lambda: (node.status()["recording"] or "").startswith(str(tmp_path)), "status tells")

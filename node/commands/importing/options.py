@@ -16,6 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("captures", type=Path, nargs="+", metavar="IN", help="the captures, one or several")
     parser.add_argument("recording", type=Path, metavar="OUT.mcap", help="the recording to write")
     parser.add_argument("--force", action="store_true", help="replace OUT.mcap if it exists")
+    parser.add_argument("--zstd", action="store_true", help="compress OUT.mcap")
     parser.add_argument("--strict", action="store_true", help="refuse files of which anything is left out")
     _add_data(parser.add_argument_group("what the files hold"))
     _add_wifi(parser.add_argument_group("Wi-Fi captures: which frames (the commonest), and what power means"))

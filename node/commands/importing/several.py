@@ -37,7 +37,9 @@ def run(capture: Capture, arguments: argparse.Namespace) -> int:
     facts = CaptureFacts(arguments.phase or "steady", delay)
     with (
         written_whole(arguments.recording) as file,
-        RecordingWriter(file, whole.arrays[0], note=note, facts=facts, others=whole.arrays[1:]) as writer,
+        RecordingWriter(
+            file, whole.arrays[0], note=note, facts=facts, others=whole.arrays[1:], zstd=arguments.zstd
+        ) as writer,
         progress("importing", total) as advance,
     ):
         for block in _blocks(whole, arguments, rng):

@@ -40,7 +40,7 @@ export class Recordings {
   async #start() {
     if ($('recording').returnValue !== 'start') return;
     try {
-      await this.stream.ask('record', { on: true, path: $('file').value });
+      await this.stream.ask('record', { on: true, path: $('file').value, compression: $('zstd').checked ? 'zstd' : 'none' });
       this.toast(`Recording to ${$('file').value}`);
     } catch (error) {
       this.toast(`Not recording: ${error.message}`);

@@ -331,7 +331,7 @@ def test_a_missing_file_is_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"compression": CompressionType.ZSTD}, "compressed with zstd"),
+        ({"compression": CompressionType.LZ4}, "compressed with lz4"),
         ({"use_chunking": False, "use_statistics": False}, "holds no CSI"),
         ({"compression": CompressionType.NONE}, "holds no CSI"),
     ],
