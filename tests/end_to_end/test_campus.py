@@ -13,7 +13,8 @@ from node_runs import DEADLINE_S, Running, until
 from chachart.config import shipped
 from chachart.node.commands.ctl import ask
 
-UES = 24
+UES = 8
+FEWER = (f"source.ues={UES}", "source.frame_rate_hz=32")
 SITES = ("north", "west")
 
 
@@ -40,7 +41,7 @@ def test_two_sites_are_one_chart_whoever_dies_and_comes_back(
 
     sources = [f"source.{n}.endpoint=ipc://{tmp_path}/campus-{name}" for n, name in enumerate(SITES)]
     campus = start("campus", *sources)
-    sites = {name: start(f"campus-{name}") for name in SITES}
+    sites = {name: start(f"campus-{name}", *FEWER) for name in SITES}
     until(lambda: right(2), "both sites are heard")
 
     sites["west"].signal(signal.SIGKILL)
@@ -49,7 +50,7 @@ def test_two_sites_are_one_chart_whoever_dies_and_comes_back(
     newest = max(fused("chart")["time_ns"])
     until(lambda: min(fused("chart")["time_ns"]) > newest, "north goes on alone")
 
-    sites["west"] = start("campus-west")
+    sites["west"] = start("campus-west", *FEWER)
     until(lambda: right(2, newest), "both are heard again")
     for node in (campus, *sites.values()):
         node.signal(signal.SIGTERM)
