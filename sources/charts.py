@@ -2,8 +2,9 @@
 
 A row says in which direction, and how far, the other node's array hears a UE, and how sure it is. What fusion
 knows is frames; so a row becomes the frame of which just that could be said: a wave from there, in noise so
-strong that its likelihood is as wide as the row's deviations. Everything behind it (fuser, tracker, weights)
-is then the same, whether frames or rows come.
+strong that its likelihood is as wide as the row's deviations. Where it carries the strongest paths of a frame
+(`[estimator] path_list` of the other node), these and noise for the rest are the frame. Everything behind it
+(fuser, tracker, weights) is then the same, whether frames or rows come.
 """
 
 from __future__ import annotations
@@ -23,12 +24,11 @@ from chachart.node.data.errors import SetupError
 from chachart.node.data.facts import CaptureFacts
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.methods import FUSION
+from chachart.node.data.path_list import FAR_M, NEAREST_M, PathList
 from chachart.node.net.client import Subscription, subscribe
 from chachart.node.net.keys import load_public
 from chachart.sources.base import Source, SourceSettings
 
-FAR_M = 1e5
-"""A UE of which only the direction is known is as good as at any distance that is far enough."""
 LEAST_NOISE, MOST_NOISE = 1e-3, 1.0
 """Power of the noise against that of the wave."""
 UNKNOWN_NOISE = 0.1
@@ -157,6 +157,7 @@ class Waves:
         self._wave_numbers = 2 * np.pi * array.frequencies_hz / array.light_speed_m_s
         around = self._elements - array.centre_m
         spread = float(np.linalg.svd(around, compute_uv=False)[0]) / math.sqrt(array.antennas)
+        self.shape = (array.antennas, array.subcarriers)
         self._per_radian = (2 * np.pi / array.wavelength_m * spread) ** 2
         self._per_metre = float(np.var(self._wave_numbers))
         self._noise = np.random.default_rng(0)
@@ -164,15 +165,24 @@ class Waves:
     def usable(self, update: ChartUpdate) -> NDArray[np.bool_]:
         """Which rows (K,) say a direction, and a distance where those count."""
         good = np.isfinite(self._directions(update)).all(axis=1)
+        listed = _listed(update)
         if self._ranges:
             good = good & np.isfinite(update.rho) & (update.rho > 0) & (update["relative"] == 0)
-        return np.asarray(good, np.bool_)
+        return np.asarray(good | listed, np.bool_)
 
     def frames(self, update: ChartUpdate) -> NDArray[np.complex64]:
         """Frames complex64 (K, N_R, N_S) of rows that are usable.
 
-        The power falls with the distance as in free space, so that what counts is where a wave comes from.
+        Without paths the power falls with the distance as in free space, so that what counts is where a wave
+        comes from.
         """
+        listed = _listed(update)
+        if listed.any():
+            found = np.empty((len(update), *self.shape), np.complex64)
+            found[listed] = self._of_paths(update.take(listed))
+            if not listed.all():
+                found[~listed] = self.frames(update.take(~listed))
+            return found
         rho = update.rho if self._ranges else np.full(len(update), FAR_M)
         places = self._array.centre_m + rho[:, None] * (self._directions(update) @ self._array.frame)
         away = np.linalg.norm(places[:, None] - self._elements, axis=2)
@@ -184,6 +194,19 @@ class Waves:
         near = np.maximum(rho, 1.0)[:, None, None]
         heard = (wave + level * (noise[0] + 1j * noise[1])) / near
         return np.asarray(heard, np.complex64)
+
+    def _of_paths(self, update: ChartUpdate) -> NDArray[np.complex128]:
+        """Frames of rows with paths: these, and noise of what power they leave."""
+        array, paths = self._array, PathList.unpacked(update["paths"])
+        known = np.isfinite(update.rho) & (update.rho > 0) & (update["relative"] == 0)
+        far = np.where(known, np.maximum(update.rho, NEAREST_M), FAR_M)
+        elements = (self._elements - array.centre_m) @ array.frame.T
+        waves = paths.waves(elements, far, array.frequencies_hz, array.carrier_hz, array.light_speed_m_s)
+        wave = np.einsum("kp,kpns->kns", paths.amplitude, waves)
+        left = np.clip(1 - np.mean(np.abs(wave) ** 2, axis=(1, 2)), LEAST_NOISE, MOST_NOISE)
+        noise = self._noise.standard_normal((2, *wave.shape)) / math.sqrt(2)
+        heard = wave + np.sqrt(left)[:, None, None] * (noise[0] + 1j * noise[1])
+        return np.asarray(10 ** (paths.level_db / 20)[:, None, None] * heard)
 
     def _directions(self, update: ChartUpdate) -> NDArray[np.float64]:
         """Own unit vectors (K, 3); of a line, whose cone is one, those in the plane that it looks along."""
@@ -201,3 +224,8 @@ class Waves:
         if self._ranges:
             found = found + self._per_metre * np.nan_to_num(update["rho_std"]) ** 2
         return np.clip(np.where(np.isfinite(found), found, UNKNOWN_NOISE), LEAST_NOISE, MOST_NOISE)
+
+
+def _listed(update: ChartUpdate) -> NDArray[np.bool_]:
+    """Which rows (K,) carry paths."""
+    return np.asarray(np.isfinite(update["paths"]).all(axis=1), np.bool_)

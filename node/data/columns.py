@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from chachart.node.data.path_list import PARTS
+
 _FILE_UNITS = {"": "", "ns": "", "rad": "_rad", "m": "_m", "s": "_s", "dB": "_db", "m/s": "_m_s", "m²": "_m2"}
 """What a name ends in where it is to say its unit; `time_ns` says it anyway."""
 
@@ -151,6 +153,16 @@ _ALL = (
     Column("vy", "float64", "v y", "Velocity along y.", "m/s", optional=True),
     Column("arrays", "int64", "arrays", "How many arrays took part.", decimals=0, optional=True),
     Column("outlier", "float64", "outlier", "Probability of being more than 10 m off.", optional=True),
+    Column(
+        "paths",
+        "float64",
+        "paths",
+        "Strongest paths of the newest frame: its level in dB; of each azimuth, elevation (rad), length (m), "
+        "share of the power, phase.",
+        decimals=6,
+        optional=True,
+        parts=PARTS,
+    ),
     Column("snr", "float64", "SNR", "Signal to noise ratio.", "dB", 2),
     Column("snapshots", "float64", "frames", "Effective number of frames behind the estimate.", decimals=1),
     Column(

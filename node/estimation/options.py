@@ -74,6 +74,8 @@ class Options(Settings):
     place where there are echoes."""
     echoes: bool = True
     """Deviations allow for echoes that cannot be told from the path, as in cities; false: for noise alone."""
+    path_list: bool = False
+    """Rows tell the three strongest paths of a UE's newest frame, for nodes that fuse several (`charts`)."""
     delay: Delay = "absolute"
     """`relative`: a frame's delay is its detection's, not the distance's, as in captures of Wi-Fi tools."""
     forget_after_s: float | None = Field(None, gt=0)
@@ -165,6 +167,7 @@ class Keywords(TypedDict, total=False):
     phase: Phase
     paths: int
     echoes: bool
+    path_list: bool
     delay: Delay
     forget_after_s: float | None
     max_ues: int

@@ -123,4 +123,6 @@ class NodeState:
 def _options(plan: Plan) -> dict[str, Any]:
     """What snapshots of UEs depend on, apart from the methods, which go on as they were."""
     options: dict[str, Any] = plan.estimator.model_dump(mode="json")
-    return {name: value for name, value in options.items() if name not in ("theta", "rho", "max_ues")}
+    return {
+        name: value for name, value in options.items() if name not in ("theta", "rho", "max_ues", "path_list")
+    }

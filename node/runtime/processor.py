@@ -21,6 +21,7 @@ from chachart.node.data.placement import Placement
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.fusion.estimator import FusedEstimator
 from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
+from chachart.node.estimation.fusion.path_lists import PathLists
 from chachart.node.estimation.options import Options
 from chachart.node.estimation.state import Snapshot
 from chachart.node.runtime.table import ChartTable
@@ -132,6 +133,8 @@ class BlockProcessor:
         several: Mapping[str, Any] | None = None,
     ) -> None:
         self._estimator = estimator_of(array, estimator, several)
+        lists = several is None and self._estimator.options.path_list
+        self._path_lists = PathLists(array) if lists else None
         self._name = several["fusion"]["name"] if several else array.name
         self._forget_after_ns = int((estimator.get("forget_after_s") or 0) * 1e9)
         self._next_forget_ns: int | None = None
@@ -161,6 +164,8 @@ class BlockProcessor:
             else:
                 (block,) = runs
                 update = self._estimator.update(block)
+                if self._path_lists is not None:
+                    update = self._path_lists.told(update, block)
         except Exception:
             log.exception("a block of %d frames could not be estimated", frames)
             dropped = self._newly_rejected()

@@ -69,17 +69,18 @@ def test_what_two_nodes_say_becomes_one_chart(start: Start, tmp_path: Path) -> N
     assert main(["keys", "new", "fuser", "--folder", str(tmp_path / "mine")]) == 0
     allow = ["keys", "allow", str(tmp_path / "mine" / "fuser.key"), "--may", "read", "--folder", str(keys)]
     assert main(allow) == 0
-    sources = []
+    sources, nodes = [], []
     for name in BOARDS:
         node = start(
             {
                 "array": _array(name),
                 "source": SIMULATOR,
-                "estimator": {"theta": "joint", "rho": "joint", "memory_frames": 1},
+                "estimator": {"theta": "joint", "rho": "joint", "memory_frames": 1, "path_list": True},
                 "security": {"keys": str(keys)},
                 "sinks": [{"type": "publisher", "endpoint": "tcp://127.0.0.1:0"}],
             }
         )
+        nodes.append(node)
         sources.append(
             {
                 "type": "charts",
@@ -106,4 +107,7 @@ def test_what_two_nodes_say_becomes_one_chart(start: Start, tmp_path: Path) -> N
         return bool((error < 1.0).all())
 
     until(right, "all UEs are where they stand")
+    told = nodes[0].chart()
+    assert told is not None
+    assert np.isfinite(told["paths"]).all()
     until(lambda: {one["name"] for one in fusing.status()["arrays"]} == set(BOARDS), "both are told of")

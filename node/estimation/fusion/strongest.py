@@ -90,9 +90,12 @@ class Pathfinder:
         parts = []
         for i in range(0, len(csi), CHUNK):
             part = slice(i, i + CHUNK)
-            received = Received(self.site, self._receiver.prepared(csi[part]))
-            parts.append(self._strongest(received, np.maximum(far_m[part], LEAST_NEAR_M)))
+            parts.append(self.strongest(self.prepared(csi[part]), far_m[part]))
         return Paths.concatenate(parts)
+
+    def prepared(self, csi: Complex) -> Complex:
+        """Frames (K, N_R, N_S) as `strongest` takes them, see `Receiver.prepared`."""
+        return self._receiver.prepared(csi)
 
     def _grid(self) -> tuple[Complex, Floats]:
         """Beams of the coarse search (D, N), and their own directions (D, 3)."""
@@ -109,7 +112,9 @@ class Pathfinder:
         first = np.unique(which, return_index=True)[1]
         return beams, points[first]
 
-    def _strongest(self, received: Received, far_m: Floats) -> Paths:
+    def strongest(self, csi: Complex, far_m: Floats) -> Paths:
+        """As calling it, of few prepared frames."""
+        received, far_m = Received(self.site, csi), np.maximum(far_m, LEAST_NEAR_M)
         rows = np.arange(len(far_m))
         spectrum = received.spectrum(self._beams)
         delays = spectrum.shape[2]
