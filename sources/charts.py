@@ -196,16 +196,23 @@ class Waves:
         return np.asarray(heard, np.complex64)
 
     def _of_paths(self, update: ChartUpdate) -> NDArray[np.complex128]:
-        """Frames of rows with paths: these, and noise of what power they leave."""
+        """Frames of rows with paths: these, and noise of what power they leave.
+
+        What the strongest paths leave has nothing in common with them, nor with what they would be a little
+        aside: neither has the noise, which so makes the paths less sure, but does not move them.
+        """
         array, paths = self._array, PathList.unpacked(update["paths"])
         known = np.isfinite(update.rho) & (update.rho > 0) & (update["relative"] == 0)
         far = np.where(known, np.maximum(update.rho, NEAREST_M), FAR_M)
         elements = (self._elements - array.centre_m) @ array.frame.T
-        waves = paths.waves(elements, far, array.frequencies_hz, array.carrier_hz, array.light_speed_m_s)
+        geometry = (elements, far, array.frequencies_hz, array.carrier_hz, array.light_speed_m_s)
+        waves = paths.waves(*geometry)
+        around = [waves, *(one.waves(*geometry) - waves for one in paths.moved())]
         wave = np.einsum("kp,kpns->kns", paths.amplitude, waves)
         left = np.clip(1 - np.mean(np.abs(wave) ** 2, axis=(1, 2)), LEAST_NOISE, MOST_NOISE)
         noise = self._noise.standard_normal((2, *wave.shape)) / math.sqrt(2)
-        heard = wave + np.sqrt(left)[:, None, None] * (noise[0] + 1j * noise[1])
+        rest = _without(noise[0] + 1j * noise[1], np.concatenate(around, axis=1))
+        heard = wave + np.sqrt(left)[:, None, None] * rest
         return np.asarray(10 ** (paths.level_db / 20)[:, None, None] * heard)
 
     def _directions(self, update: ChartUpdate) -> NDArray[np.float64]:
@@ -229,3 +236,13 @@ class Waves:
 def _listed(update: ChartUpdate) -> NDArray[np.bool_]:
     """Which rows (K,) carry paths."""
     return np.asarray(np.isfinite(update["paths"]).all(axis=1), np.bool_)
+
+
+def _without(noise: NDArray[np.complex128], waves: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Noise (K, N, S) without what it has in common with waves (K, W, N, S)."""
+    flat, rows = noise.reshape(len(noise), -1, 1), waves.reshape(*waves.shape[:2], -1)
+    size = np.linalg.norm(rows, axis=2, keepdims=True)
+    rows = rows / np.maximum(size, 1e-9 * size.max(initial=1e-300))
+    gram = rows.conj() @ rows.swapaxes(1, 2) + 1e-4 * np.eye(rows.shape[1])
+    common = rows.swapaxes(1, 2) @ np.linalg.solve(gram, rows.conj() @ flat)
+    return np.asarray((flat - common).reshape(noise.shape))

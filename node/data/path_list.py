@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -20,6 +21,8 @@ FAR_M = 1e5
 
 NEAREST_M = 0.3
 """No wave's centre is taken to be nearer."""
+
+_STEP_RAD, _STEP_M = 1e-4, 1e-2
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,13 @@ class PathList:
         direction = np.stack([flat * np.sin(azimuth), np.sin(elevation), flat * np.cos(azimuth)], axis=-1)
         amplitude = np.sqrt(np.maximum(share, 0.0)) * np.exp(1j * phase)
         return cls(column[:, 0], direction, length, amplitude)
+
+    def moved(self) -> Iterator[Self]:
+        """The paths a little further: in direction, one way and the other, and in length."""
+        aside = np.cross((0.0, 1.0, 0.0), self.direction)
+        for way in (aside, np.cross(self.direction, aside)):
+            yield replace(self, direction=self.direction + _STEP_RAD * way)
+        yield replace(self, length_m=self.length_m + _STEP_M)
 
     def waves(
         self, elements: Floats, far_m: Floats, frequencies_hz: Floats, carrier_hz: float, light_m_s: float

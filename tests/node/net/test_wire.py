@@ -57,7 +57,7 @@ def csi_blocks(draw: st.DrawFn) -> CsiBlock:
 def charts(draw: st.DrawFn) -> ChartUpdate:
     k = draw(st.integers(0, 5))
     columns = {
-        c.name: draw(npst.arrays(np.float64, (k,), elements=floats))
+        c.name: draw(npst.arrays(np.float64, c.shape(k), elements=floats))
         for c in COLUMNS.values()
         if c.dtype == "float64"
     }
