@@ -11,6 +11,7 @@ import json
 import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 from chachart.node.commands.benchmarks import captures, own_files
@@ -20,6 +21,9 @@ from chachart.node.data.errors import SetupError
 WORKER = "chachart.node.commands.benchmarks.damage_worker"
 NAMES = (*captures.NAMES, *own_files.NAMES)
 LONGEST_S = 1e6
+REPORT_EVERY = 100
+MOST_FAULTS = 20
+"""Of a format; after so many it is given up."""
 SLACK_S = 60.0
 """Beyond the time that its files may take, a worker that says nothing is dead."""
 
@@ -51,35 +55,49 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     faults: list[str] = []
     for name in arguments.format or NAMES:
         started = time.monotonic()
-        counts, fault = _read(name, arguments)
-        total = sum(counts.values())
-        table.add(
-            name,
-            total,
-            counts["read"],
-            counts["refused"],
-            int(fault != ""),
-            total / (time.monotonic() - started),
-        )
-        if fault:
-            faults.append(f"{name}: {fault}")
+        counts, found = _read(name, arguments)
+        total = sum(counts.values()) + len(found)
+        seconds = time.monotonic() - started
+        table.add(name, total, counts["read"], counts["refused"], len(found), total / seconds)
+        faults += [f"{name}: {fault}" for fault in found]
     if faults:
         raise SetupError("\n".join(faults))
     return [table]
 
 
-def _read(name: str, arguments: argparse.Namespace) -> tuple[dict[str, int], str]:
-    """How many files of a format were read and refused, and the fault that ended it, if any did."""
+def _read(name: str, arguments: argparse.Namespace) -> tuple[Counter[str], list[str]]:
+    """How many files of a format were read and refused, and which ended the reader.
+
+    A worker that dies is followed by one that reports every file, so that the file is known.
+    """
+    counts: Counter[str] = Counter()
+    faults: list[str] = []
+    at, end = arguments.first, arguments.first + arguments.files
+    while at < end and len(faults) < MOST_FAULTS:
+        at, died = _batch(name, arguments, (at, end), REPORT_EVERY, counts)
+        if died:
+            at, died_again = _batch(name, arguments, (at, min(end, at + REPORT_EVERY)), 1, counts)
+            faults.append(f"file {at} ended the reader (--first {at} --files 1): {died_again or died}")
+            at += 1
+    return counts, faults
+
+
+def _batch(
+    name: str, arguments: argparse.Namespace, files: tuple[int, int], report_every: int, counts: Counter[str]
+) -> tuple[int, str]:
+    """Have files from one number to another read; the first that was not reported, and why the worker died."""
+    first, end = files
     task = {
         "format": name,
         "samples": [str(path) for path in arguments.sample],
-        "files": arguments.files,
-        "first": arguments.first,
+        "files": end - first,
+        "first": first,
         "seed": arguments.seed,
         "memory_mb": arguments.memory_mb,
         "seconds": arguments.seconds,
+        "report_every": report_every,
     }
-    limit_s = min(SLACK_S + arguments.seconds * arguments.files, LONGEST_S)
+    limit_s = min(SLACK_S + arguments.seconds * task["files"], LONGEST_S)
     command = [sys.executable, "-m", WORKER, json.dumps(task)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as worker:
         try:
@@ -87,15 +105,12 @@ def _read(name: str, arguments: argparse.Namespace) -> tuple[dict[str, int], str
         except subprocess.TimeoutExpired:
             worker.kill()
             out, err = worker.communicate()
-    counts = {"read": 0, "refused": 0}
-    at = arguments.first
-    for line in out.splitlines():
+    at = first
+    for line in out.splitlines()[-1:]:
         report = json.loads(line)
-        counts, at = {key: report[key] for key in counts}, report["next"]
+        at = report.pop("next")
+        counts.update(report)
     if worker.returncode == 0:
-        return counts, ""
-    what = err.strip().splitlines()[-1:] or ["it said nothing"]
-    return (
-        counts,
-        f"file {at} or soon after it (--first {at}) ended the reader ({worker.returncode}): {what[0]}",
-    )
+        return at, ""
+    reason = err.strip().splitlines()[-1:] or ["it said nothing"]
+    return at, f"{reason[0]} ({worker.returncode})"

@@ -1,4 +1,4 @@
-"""The process that reads mutated captures: `python -m ... TASK`, a line of JSON for every hundred files."""
+"""The process that reads mutated captures: `python -m ... TASK`, a line of JSON for every so many files."""
 
 from __future__ import annotations
 
@@ -14,12 +14,11 @@ from types import FrameType
 import numpy as np
 
 from chachart.node.commands.benchmarks import captures, own_files
-from chachart.node.commands.benchmarks.mutations import mutated
+from chachart.node.commands.benchmarks.mutations import mutations
 from chachart.node.data.errors import SetupError
 from chachart.sources.formats import open_capture
 
-REPORT_EVERY = 100
-SAMPLE_FRAMES = 6
+SAMPLE_FRAMES = 3
 
 
 class TooLong(BaseException):
@@ -60,14 +59,14 @@ def main() -> None:
     counts = {"read": 0, "refused": 0}
     with tempfile.TemporaryDirectory(prefix="chachart-damage-", dir=_memory()) as folder:
         path = Path(folder) / "capture"
-        for n in range(task["first"], task["first"] + task["files"]):
-            rng = np.random.default_rng([task["seed"], n])
-            path.write_bytes(mutated(samples[n % len(samples)], rng))
+        inputs = mutations(samples, task["seed"], task["first"], task["files"])
+        for n, data in enumerate(inputs, task["first"] + 1):
+            path.write_bytes(data)
             signal.setitimer(signal.ITIMER_REAL, task["seconds"])
             counts["read" if read(task["format"], path) else "refused"] += 1
             signal.setitimer(signal.ITIMER_REAL, 0)
-            if (n + 1) % REPORT_EVERY == 0 or n + 1 == task["first"] + task["files"]:
-                print(json.dumps({**counts, "next": n + 1}), flush=True)
+            if n % task["report_every"] == 0 or n == task["first"] + task["files"]:
+                print(json.dumps({**counts, "next": n}), flush=True)
 
 
 def _memory() -> str | None:

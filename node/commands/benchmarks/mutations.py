@@ -14,18 +14,13 @@ _TELLING = (0, 1, 0x7F, 0x80, 0xFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
 _NOISE = np.random.default_rng(20260101).bytes(1 << 16)
 
 
-def mutated(data: bytes, rng: np.random.Generator) -> bytes:
-    """`data` with one to four mutations."""
-    return _mutated(data, rng.random(1 + MOST * DRAWS_EACH).tolist())
-
-
 def mutations(samples: Sequence[bytes], seed: int, first: int, count: int) -> Iterator[bytes]:
-    """Inputs `first` to `first + count` of a seed, one of the samples each; `first` a multiple of 1000."""
-    for begin in range(first, first + count, _BATCH):
-        rng = np.random.default_rng([seed, begin])
-        draws = rng.random((min(_BATCH, first + count - begin), 1 + MOST * DRAWS_EACH)).tolist()
-        for n, drawn in enumerate(draws, begin):
-            yield _mutated(samples[n % len(samples)], drawn)
+    """Inputs `first` to `first + count` of a seed, one of the samples each."""
+    end = first + count
+    for begin in range(first - first % _BATCH, end, _BATCH):
+        draws = np.random.default_rng([seed, begin]).random((_BATCH, 1 + MOST * DRAWS_EACH))
+        for n in range(max(begin, first), min(begin + _BATCH, end)):
+            yield _mutated(samples[n % len(samples)], draws[n - begin].tolist())
 
 
 def _mutated(data: bytes, drawn: Sequence[float]) -> bytes:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from chachart.node.commands.benchmarks import captures, damage, formats
-from chachart.node.commands.benchmarks.mutations import mutated
+from chachart.node.commands.benchmarks.mutations import mutations
 from chachart.node.data.errors import SetupError
 from chachart.sources.formats import open_capture
 
@@ -26,7 +26,7 @@ def test_mutated_files_give_what_is_whole_or_a_clean_error(name: str) -> None:
 
 
 def test_a_reader_that_does_not_get_by_is_a_fault() -> None:
-    with pytest.raises(SetupError, match=r"npy: file 7 or soon after it \(--first 7\) ended the reader"):
+    with pytest.raises(SetupError, match=r"npy: file 7 ended the reader \(--first 7 --files 1\)"):
         damage.run(arguments(damage, "--files", "5", "--first", "7", "--format", "npy", "--memory-mb", "16"))
 
 
@@ -40,9 +40,10 @@ def test_samples_of_ones_own_are_mutated_too(tmp_path: Path) -> None:
 
 def test_mutations_are_the_same_for_the_same_seed() -> None:
     data = captures.made("feitcsi", 2, np.random.default_rng(2))
-    first, again, other = (mutated(data, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    first, again, other = (list(mutations([data], seed, 998, 4)) for seed in (1, 1, 2))
     assert first == again
-    assert len({first, other, data}) == 3
+    assert first[1:3] == list(mutations([data], 1, 999, 2))
+    assert len({*first, *other, data}) == 9
 
 
 @pytest.mark.parametrize("name", captures.NAMES)
