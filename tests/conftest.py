@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from chachart.sources.formats import hdf5_process
+
 # The same examples every time, however busy the machine; `--hypothesis-profile=search` looks for new ones.
 settings.register_profile(
     "house", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
@@ -64,13 +66,13 @@ def _sockets() -> set[str]:
 
 
 def _children() -> set[str]:
-    """Child processes, but for the one that the standard library keeps for spawned processes' semaphores."""
-    tracker = getattr(resource_tracker._resource_tracker, "_pid", None)
+    """Child processes, but for those kept on purpose: of spawned processes' semaphores, and of HDF5 files."""
+    kept = {getattr(resource_tracker._resource_tracker, "_pid", None), hdf5_process.reader.pid}
     found = set()
     for task in Path("/proc/self/task").iterdir():
         try:
             pids = (task / "children").read_text().split()
         except (FileNotFoundError, ProcessLookupError):  # the thread ended meanwhile
             continue
-        found.update(f"process {pid}" for pid in pids if int(pid) != tracker)
+        found.update(f"process {pid}" for pid in pids if int(pid) not in kept)
     return found

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from chachart.sources.formats.wifi.bf_file import Frame, is_frame, log_of
-from chachart.sources.formats.wifi.log import Log
+from chachart.sources.formats.wifi.bf_file import Frame, is_frame
 
 if TYPE_CHECKING:
     import h5py
@@ -23,26 +20,13 @@ _MOST = 1 << 20
 """Numbers in one field of a frame."""
 
 
-def holds_frames(opened: h5py.File) -> bool:
-    """Whether a file holds frames of read_bf_file, in cells or in arrays of structs."""
-    return any(is_frame(frame) for frame in _frames(opened))
+def frames(opened: h5py.File) -> list[Frame]:
+    """The frames of read_bf_file of the Intel 5300's tool, in cells or in arrays of structs.
 
-
-def read_structs(data: NDArray[np.uint8]) -> Log:
-    """The frames of a file of structs as read_bf_file of the Intel 5300's tool returns them, bytes (N,).
-
-    Raises
-    ------
-    ValueError
-        If the file is damaged.
+    With them comes what else has their fields, for others to count; nothing where there is no frame.
     """
-    import h5py
-
-    try:
-        with h5py.File(io.BytesIO(data.tobytes()), "r") as opened:
-            return log_of(_frames(opened))
-    except (OSError, RuntimeError, KeyError, TypeError, AttributeError) as error:
-        raise ValueError(str(error)) from None
+    found = list(_frames(opened))
+    return found if any(map(is_frame, found)) else []
 
 
 def _frames(opened: h5py.File) -> Iterator[Frame]:
@@ -109,7 +93,7 @@ def _held(item: h5py.Dataset, opened: h5py.File) -> Iterator[Any]:
 
 def _numbers(members: dict[str, Any]) -> Frame:
     """The fields of a struct that are numbers, with the axes as MATLAB has them."""
-    from chachart.sources.formats.hdf5 import as_complex, check_storage
+    from chachart.sources.formats.hdf5_file import as_complex, check_storage
 
     found: Frame = {}
     for name, member in members.items():

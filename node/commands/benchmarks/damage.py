@@ -85,7 +85,7 @@ def _read(name: str, arguments: argparse.Namespace) -> tuple[Counter[str], list[
 def _batch(
     name: str, arguments: argparse.Namespace, files: tuple[int, int], report_every: int, counts: Counter[str]
 ) -> tuple[int, str]:
-    """Have files from one number to another read; the first that was not reported, and why the worker died."""
+    """Have files from one number to another read: the first not reported, and why the worker died."""
     first, end = files
     task = {
         "format": name,

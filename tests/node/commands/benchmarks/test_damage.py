@@ -43,7 +43,7 @@ def test_mutations_are_the_same_for_the_same_seed() -> None:
     first, again, other = (list(mutations([data], seed, 998, 4)) for seed in (1, 1, 2))
     assert first == again
     assert first[1:3] == list(mutations([data], 1, 999, 2))
-    assert len({*first, *other, data}) == 9
+    assert first != other
 
 
 @pytest.mark.parametrize("name", captures.NAMES)
