@@ -215,6 +215,14 @@ class WorkersSettings(Settings):
     """Blocks that may wait for a worker before a lossless source waits and a live one drops its oldest."""
     credit_blocks: int = Field(8, ge=1, le=1024)
     """Blocks that a worker may hold unacknowledged."""
+    runtime: Literal["processes", "ray"] = "processes"
+    """Where workers run: on this machine, or where Ray puts them (pip install "chachart[ray]")."""
+    address: str | None = Field(None, min_length=1, examples=["auto", "10.0.0.1:6379"])
+    """The Ray cluster's; `auto`: the one that this machine is part of. Not set: one of this machine alone."""
+    resources: dict[str, Annotated[float, Field(gt=0)]] = Field(
+        default_factory=lambda: {"CPU": 1.0}, examples=[{"CPU": 1.0, "rack_2": 1.0}]
+    )
+    """What each worker asks of Ray: names of resources, and how much."""
 
 
 class QualitySettings(Settings):

@@ -126,6 +126,13 @@ def test_the_readme_has_one_line_that_runs_and_one_that_tests() -> None:
     assert re.search(r" -m pytest\b", lines[1])
 
 
+def test_ray_is_loaded_by_nobody_who_does_without_it() -> None:
+    code = "import sys, chachart.node.commands.node, chachart.node.runtime.node; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "chachart.node.runtime.worker_pool" in loaded.stdout.split()
+    assert "ray" not in loaded.stdout.split()
+
+
 def test_a_worker_loads_little_of_scipy() -> None:
     """Its `signal`, `stats` and `optimize` take 50 MB of each process and half a second of its start."""
     code = "import sys, chachart.node.runtime.worker; print(*sys.modules)"

@@ -159,12 +159,17 @@ def _show_status(status: Reply, _: argparse.Namespace) -> None:
         "lost": lost or "nothing",
         "UEs": str(status["ues"]),
         "latency": f"{_number(latency.get('p50'))} ms, 99 % within {_number(latency.get('p99'))} ms",
-        "workers": ", ".join(f"{w['ues']} UEs, {w['restarts']} restarts" for w in status["workers"]),
+        "workers": ", ".join(_worker(worker) for worker in status["workers"]),
         "quality": f"TW {_number(quality.get('tw'), 4)}, CT {_number(quality.get('ct'), 4)}",
         "recording": status["recording"] or "no",
     }
     for name, text in lines.items():
         print(f"{name:<10} {text}")
+
+
+def _worker(worker: Reply) -> str:
+    where = f" on {worker['host']}" if "host" in worker else ""
+    return f"{worker['ues']} UEs{where}, {worker['restarts']} restarts"
 
 
 def show_ues(reply: Reply, _: object = None) -> None:

@@ -18,6 +18,7 @@ EXTRAS = {
     "pandas": {"pandas": "pandas"},
     "foxglove": {"foxglove": "foxglove-sdk"},
     "state": {"fsspec": "fsspec"},
+    "ray": {"ray": "ray"},
     "mqtt": {"paho": "paho-mqtt"},
 }
 """By extra of chachart: module and the package it comes in."""

@@ -9,6 +9,7 @@ SIGTERM ignored) and obeys the main process; when stdin ends, that is dead and t
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import gc
 import importlib
 import json
@@ -19,11 +20,13 @@ import signal
 import subprocess
 import sys
 import threading
-from typing import Any
+from typing import Any, Protocol
 
 log = logging.getLogger(__name__)
 
 NICENESS = 15
+PR_SET_PDEATHSIG = 1
+"""Of prctl(2)."""
 LACKS = 74
 """Exit status (EX_IOERR) of a child that lacks something outside; its last error says what."""
 ONE_THREAD = dict.fromkeys(
@@ -32,6 +35,22 @@ ONE_THREAD = dict.fromkeys(
 """BLAS must not fight the workers for the cores; these count only when set before numpy is loaded."""
 KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": str(128 * 2**20), "MALLOC_MMAP_THRESHOLD_": str(32 * 2**20)}
 """What a block took, the next one takes again: glibc would give it back, and the system clear it anew."""
+
+
+class ChildProcess(Protocol):
+    """A running child process, on this machine (`Child`) or another; see there."""
+
+    name: str
+    pid: int
+    last_error: str | None
+
+    def exit_code(self) -> int | None: ...
+
+    def wait(self, timeout: float | None = None) -> bool: ...
+
+    def kill(self) -> None: ...
+
+    def close(self, timeout: float = 1.0) -> None: ...
 
 
 class Child:
@@ -44,10 +63,13 @@ class Child:
     module
         What to run.
     settings
-        Plain values for `read_settings`; `log_level` and `directory` (of the sockets) are among them.
+        Plain values for `read_settings`; `log_level` and `directory` (of the sockets; None: it has none) are
+        among them.
 
     Attributes
     ----------
+    pid
+        Its process id.
     last_error
         The last error that it logged, or None.
     """
@@ -63,6 +85,7 @@ class Child:
             env={**KEEP_MEMORY, **os.environ, **ONE_THREAD},
             process_group=0,
         )
+        self.pid = self._process.pid
         self._reader = threading.Thread(target=self._relay_log, name=f"{name} log", daemon=True)
         self._reader.start()
         assert self._process.stdin is not None
@@ -72,17 +95,12 @@ class Child:
         except BrokenPipeError:
             log.error("%s ended before it had its settings", name)
 
-    @property
-    def pid(self) -> int:
-        """Its process id."""
-        return self._process.pid
-
     def exit_code(self) -> int | None:
         """None while it runs; minus the signal's number where one killed it."""
         return self._process.poll()
 
-    def wait(self, timeout: float) -> bool:
-        """Whether it has ended within `timeout` seconds."""
+    def wait(self, timeout: float | None = None) -> bool:
+        """Whether it has ended within `timeout` seconds; None: however long that takes."""
         try:
             self._process.wait(timeout)
         except subprocess.TimeoutExpired:
@@ -135,6 +153,8 @@ def read_settings() -> dict[str, Any]:
         target=_follow_parent, args=(settings["directory"],), name="parent watch", daemon=True
     )
     follow.start()
+    if settings["directory"] is None:
+        _end_with_parent()
     return settings
 
 
@@ -158,11 +178,17 @@ def load_class(path: str) -> Any:
     return getattr(importlib.import_module(module), name)
 
 
-def _follow_parent(directory: str) -> None:
+def _follow_parent(directory: str | None) -> None:
     while os.read(sys.stdin.fileno(), 4096):
         pass
-    shutil.rmtree(directory, ignore_errors=True)
+    if directory is not None:
+        shutil.rmtree(directory, ignore_errors=True)
     os._exit(1)
+
+
+def _end_with_parent() -> None:
+    """Have the kernel kill this process with the thread that started it, even while this one is stopped."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 class _JsonLines(logging.Handler):

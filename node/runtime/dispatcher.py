@@ -82,12 +82,9 @@ class Dispatcher:
         self._go = False
         self._started = False
         self._stop_at: float | None = None
-        router = context.socket(zmq.ROUTER)
         self._commands = context.socket(zmq.PULL)
-        router.set_hwm(0)
-        router.bind(settings["sockets"]["workers"])
         self._commands.bind(settings["sockets"]["commands"])
-        self._links = WorkerLinks(router, count)
+        self._links = WorkerLinks(context, settings["sockets"]["workers"], settings["keys"], count)
         self._hung = HungWorkers(self._links, self._queues)
         self._snapshots = SnapshotKeeper(self._queues, self._links, state["every_s"])
         antennas = self._reader.antennas
@@ -95,7 +92,7 @@ class Dispatcher:
             self._terms, source, antennas, self._csi_sinks, self._links, self._reply, self._wake
         )
         self._poller = zmq.Poller()
-        for socket in (router, self._commands, self._wake_fd):
+        for socket in (self._links.socket, self._commands, self._wake_fd):
             self._poller.register(socket, zmq.POLLIN)
 
     def run(self) -> None:
@@ -120,6 +117,7 @@ class Dispatcher:
         finally:
             self._csi_sinks.close(self._time_left(), self._still_here)
             self._source.close()
+            self._links.close()
         self._tell(messages.DRAINED, self._status())
 
     def _still_here(self) -> bool:
@@ -198,7 +196,10 @@ class Dispatcher:
         self._hellos[shard] = values
         self._hung.worker_up(shard)
         self._snapshots.worker_up(shard, Mark(**values["mark"]))
-        self._links.peers[shard] = Peer(values["identity"], values["pid"], time.monotonic(), {"ues": ues})
+        heard_at = time.monotonic()
+        self._links.peers[shard] = Peer(
+            values["identity"], values["pid"], values["host"], heard_at, {"ues": ues}
+        )
         answer = {
             "live": not self._source.lossless,
             "lost": handover.lost,
@@ -302,7 +303,7 @@ class Dispatcher:
         estimated, dropped, shards = self._queues.totals()
         workers = [
             {
-                **({} if peer is None else {"pid": peer.pid, **peer.status}),
+                **({} if peer is None else {"pid": peer.pid, "host": peer.host, **peer.status}),
                 **shard,
                 "snapshot_error": error,
                 "stuck": stuck,

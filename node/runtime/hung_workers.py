@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import platform
 from collections.abc import Iterator
 
 from chachart.node.runtime.core_time import CoreTime
@@ -36,7 +37,8 @@ class HungWorkers:
                 continue
             with self._queues.shard(shard) as queue:
                 oldest, typical_s = queue.oldest_sent_at(), queue.typical_s
-            waited_s = self._core_time.waited_s(peer.pid)
+            here = peer.host == platform.node()
+            waited_s = self._core_time.waited_s(peer.pid) if here else 0.0
             reason = self._deadlines[shard].missed(now, peer.heard_at, oldest, typical_s, waited_s)
             if reason is not None:
                 self.reasons[shard] = f"worker {shard} hangs: {reason}"

@@ -6,10 +6,11 @@ from typing import Any
 
 from chachart.node.data.facts import CaptureFacts
 from chachart.node.files.folders import Folder
-from chachart.node.runtime.child import Child, class_path
+from chachart.node.runtime.child import Child, ChildProcess, class_path
 from chachart.node.runtime.gathered import GatheredSources
 from chachart.node.runtime.links import Links
 from chachart.node.runtime.plan import Feed, Plan
+from chachart.node.runtime.worker_pool import make_pool
 
 
 class Launcher:
@@ -23,13 +24,19 @@ class Launcher:
         What the children log.
     folder
         Where snapshots go, None for nowhere.
+
+    Raises
+    ------
+    SetupError
+        If workers cannot be where they should.
     """
 
     def __init__(self, plan: Plan, links: Links, log_level: int, folder: Folder | None) -> None:
         self._plan = plan
         self._links = links
+        self._pool = make_pool(plan.workers, plan.array.name, links)
         self._lives = 0
-        self._endpoints = links.endpoints
+        self._endpoints = {**links.endpoints, "workers": self._pool.endpoint}
         self._common: dict[str, Any] = {
             "log_level": log_level,
             "directory": str(links.directory),
@@ -77,6 +84,7 @@ class Launcher:
         settings = {
             **self._common,
             "sockets": self._endpoints,
+            "keys": None if self._pool.keys is None else str(self._pool.keys),
             "security": self._security(),
             "source": self._gathered(ended) if plan.further else _source(plan.feeds[0]),
             "workers": {**plan.workers.model_dump(mode="json"), "block_frames": plan.block_frames},
@@ -94,7 +102,7 @@ class Launcher:
         }
         return Child("feeder", "chachart.node.runtime.feeder", settings)
 
-    def worker(self, shard: int) -> Child:
+    def worker(self, shard: int) -> ChildProcess:
         """Start the process that estimates the UEs of `shard`."""
         settings = {
             **self._common,
@@ -105,7 +113,11 @@ class Launcher:
             "state": self._state,
             "several": self._plan.several(),
         }
-        return Child(f"worker {shard}", "chachart.node.runtime.worker", settings)
+        return self._pool.start(shard, settings)
+
+    def close(self) -> None:
+        """When all children have ended: let go of where the workers ran."""
+        self._pool.close()
 
     def _security(self) -> dict[str, Any]:
         told: dict[str, Any] = self._plan.security.model_dump(mode="json", exclude={"token", "read_token"})

@@ -15,8 +15,8 @@ from chachart.node.data.chart import ChartUpdate, Method
 from chachart.node.data.columns import COLUMNS
 
 HELLO = b"hello"
-"""Worker to feeder: {shard, pid, seq, applied, mark, totals, ues}, what is in its state. Source process to
-feeder: {}, it waits for a `go`."""
+"""Worker to feeder: {shard, pid, host, ues, seq, applied, mark, totals}, who it is and what is in its state.
+Source process to feeder: {}, it waits for a `go`."""
 WHO = b"who"
 """Feeder to worker: {}, say hello again: the feeder that knew you is dead."""
 CONFIGURE = b"configure"

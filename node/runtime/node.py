@@ -59,10 +59,10 @@ class Node(NodeAccess):
         self._links = Links()
         try:
             self._kept = NodeState(plan, self._links.directory, self._facts)
+            self._launch = Launcher(plan, self._links, log_level, self._kept.folder)
         except SetupError:
             self._links.close()
             raise
-        self._launch = Launcher(plan, self._links, log_level, self._kept.folder)
         self._collector = Collector(plan.estimator)
         report, endpoint = partial(self._collector.report, "quality"), self._links.endpoints["quality"]
         self._quality = QualityWatch(plan.quality, self.chart, report, self._launch.quality, endpoint)
@@ -218,7 +218,7 @@ class Node(NodeAccess):
             self._update_status()
             self._pending.answer(values)
         elif kind == messages.HELLO:
-            self._workers.children[values["shard"]].is_up()
+            self._workers.children[values["shard"]].is_up(values["pid"])
         elif kind == messages.HUNG:
             self._workers.children[values["shard"]].kill_hung(values["pid"])
         elif kind == messages.READY:
@@ -340,6 +340,7 @@ class Node(NodeAccess):
             self._feeder.supervised.child.close(CLOSE_WITHIN_S)
         self._kept.close()
         self._children.close(WORKERS_CLOSE_WITHIN_S)
+        self._launch.close()
         if self._thread.ident is not None:
             self._thread.join()
         self._links.close()

@@ -19,6 +19,7 @@ from chachart.config.settings import (
     WorkersSettings,
 )
 from chachart.node.data.errors import SetupError
+from chachart.node.data.extras import missing
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.placement import Placement, placed_arrays
 from chachart.node.estimation.estimator import ChartEstimator
@@ -152,6 +153,8 @@ class Plan:
     def problems(self) -> list[str]:
         """What would keep the node from starting, as far as can be told without starting it."""
         found = [*security_problems(self.security)]
+        if self.workers.runtime == "ray":
+            found += [f'[workers] runtime = "ray": {problem}' for problem in missing("ray")]
         for feed in self.feeds:
             found += [*feed.settings.exposure(self.security), *feed.source.problems(feed.settings)]
         for sink, settings in self.sinks:

@@ -49,9 +49,9 @@ class NodeStatus:
     quality
         The latest quality report, or None.
     workers
-        One map each: {shard, pid, restarts, ues, frames_estimated, frames_replayed, backlog_frames,
-        backlog_blocks, untrained}; pid is None while there is no worker. `frames_replayed` went to a
-        successor, `untrained` counts estimates held back until LR was trained.
+        One map each: {shard, pid, host, restarts, ues, frames_estimated, frames_replayed, backlog_frames,
+        backlog_blocks, untrained}; pid is None, and there is no host, while there is no worker.
+        `frames_replayed` went to a successor, `untrained` counts estimates held back until LR was trained.
     sinks
         One map each: {name, where, received, dropped, refused, errors, trouble}; refused counts peers and
         requests turned away by reason, trouble is a line of text or None.

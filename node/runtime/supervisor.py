@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable
 
-from chachart.node.runtime.child import LACKS, Child
+from chachart.node.runtime.child import LACKS, ChildProcess
 
 log = logging.getLogger(__name__)
 
@@ -54,14 +54,14 @@ class SupervisedChild:
     def __init__(
         self,
         name: str,
-        start: Callable[[], Child],
+        start: Callable[[], ChildProcess],
         on_death: Callable[[int], None],
         most_deaths: int | None = None,
         starts_over: int | None = None,
         tenacious: bool = False,
     ) -> None:
         self.name = name
-        self.child: Child | None = None
+        self.child: ChildProcess | None = None
         self.restarts = 0
         self.last_code = 0
         self.lacks: str | None = None
@@ -108,8 +108,10 @@ class SupervisedChild:
                 log.error("%s cannot be started now, but soon again: %s", self.name, error)
         return None
 
-    def is_up(self) -> None:
-        """It has come up."""
+    def is_up(self, pid: int | None = None) -> None:
+        """It has come up, and has this process id where that was not known."""
+        if self.child is not None and pid is not None:
+            self.child.pid = pid
         self._stillborn, self._up, self._ever_up, self.lacks = 0, True, True, None
 
     @property
@@ -127,7 +129,7 @@ class SupervisedChild:
         if self.child is not None:
             self.child.kill()
 
-    def _bury(self, child: Child, code: int, now: float) -> None:
+    def _bury(self, child: ChildProcess, code: int, now: float) -> None:
         child.close()
         self.child, self.last_code = None, code
         if code == self._starts_over:

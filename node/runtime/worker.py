@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import os
+import platform
 import sys
 import time
 from typing import Any
@@ -23,6 +24,7 @@ from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.fusion.estimator import FusedEstimator
 from chachart.node.files.folders import FolderError
 from chachart.node.files.url_folders import folder_at
+from chachart.node.net.doorkeeper import HEARTBEAT_MS, SILENCE_MS
 from chachart.node.net.wire import decode_csi
 from chachart.node.runtime import messages
 from chachart.node.runtime.child import LACKS, leave_alone_what_lives, read_settings
@@ -104,7 +106,8 @@ class Worker:
             self._hello()
 
     def _hello(self) -> None:
-        hello = {"shard": self._shard, "pid": os.getpid(), "ues": self._processor.ues, **self._done.facts()}
+        who = {"shard": self._shard, "pid": os.getpid(), "host": platform.node()}
+        hello = {**who, "ues": self._processor.ues, **self._done.facts()}
         self._socket.send_multipart([messages.HELLO, messages.pack(hello)])
 
     def _configure(self, values: dict[str, Any]) -> None:
@@ -220,6 +223,10 @@ def main() -> int:
     socket = context.socket(zmq.DEALER)
     socket.set_hwm(0)
     socket.linger = 1000
+    if (curve := settings["curve"]) is not None:
+        socket.curve_publickey, socket.curve_secretkey = curve["public"].encode(), curve["secret"].encode()
+        socket.curve_serverkey = curve["server"].encode()
+        socket.heartbeat_ivl, socket.heartbeat_timeout = HEARTBEAT_MS, SILENCE_MS
     socket.connect(settings["workers"])
     try:
         Worker(settings, socket).run()

@@ -5,10 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import zmq
 
+from chachart.node.data.counters import Counters
+from chachart.node.net.doorkeeper import Doorkeeper
+from chachart.node.net.security import SecuritySettings
 from chachart.node.net.wire import encode_csi
 from chachart.node.runtime import messages
 from chachart.node.runtime.entries import Entry
@@ -22,6 +26,7 @@ class Peer:
 
     identity: bytes
     pid: int
+    host: str
     heard_at: float
     status: dict[str, Any] = field(default_factory=dict)
 
@@ -31,21 +36,40 @@ class WorkerLinks:
 
     Parameters
     ----------
-    socket
-        The socket, bound to where workers connect.
+    context
+        Whose socket it is.
+    endpoint
+        Where workers connect.
+    keys
+        Folder of the keys that let them in; None where nobody else can reach the endpoint.
     count
         How many shards there are, one worker each.
 
     Attributes
     ----------
+    socket
+        The socket.
     peers
         By shard, the worker that is there, or None.
     """
 
-    def __init__(self, socket: zmq.Socket[bytes], count: int) -> None:
+    def __init__(
+        self, context: zmq.Context[zmq.Socket[bytes]], endpoint: str, keys: str | None, count: int
+    ) -> None:
         self.peers: list[Peer | None] = [None] * count
-        self._socket = socket
+        self.socket = context.socket(zmq.ROUTER)
+        self.socket.set_hwm(0)
         self._asked: set[bytes] = set()
+        self._doorkeeper: Doorkeeper | None = None
+        if keys is not None:
+            self._doorkeeper = Doorkeeper(context, SecuritySettings(keys=Path(keys)), Counters(), ("send",))
+            self._doorkeeper.guard(self.socket, endpoint)
+        self.socket.bind(endpoint)
+
+    def close(self) -> None:
+        """Let nobody in any more; what was sent still goes out."""
+        if self._doorkeeper is not None:
+            self._doorkeeper.close()
 
     def receive(self) -> Iterator[Message]:
         """What has come: (shard, kind, values, further parts).
@@ -54,7 +78,7 @@ class WorkerLinks:
         """
         while True:
             try:
-                identity, kind, *parts = self._socket.recv_multipart(zmq.NOBLOCK)
+                identity, kind, *parts = self.socket.recv_multipart(zmq.NOBLOCK)
             except zmq.Again:
                 return
             values = messages.unpack(parts[0])
@@ -74,7 +98,7 @@ class WorkerLinks:
         peer = self.peers[shard]
         if peer is None:
             return False
-        self._socket.send_multipart([peer.identity, kind, messages.pack(values)])
+        self.socket.send_multipart([peer.identity, kind, messages.pack(values)])
         return True
 
     def send_block(self, shard: int, entry: Entry, mark: dict[str, Any] | None) -> None:
@@ -90,9 +114,9 @@ class WorkerLinks:
             "mark": mark,
         }
         parts = [peer.identity, messages.BLOCK, messages.pack(header), *encode_csi(entry.content.block)]
-        self._socket.send_multipart(parts, copy=False)
+        self.socket.send_multipart(parts, copy=False)
 
     def _ask_who(self, identity: bytes) -> None:
         if identity not in self._asked:
             self._asked.add(identity)
-            self._socket.send_multipart([identity, messages.WHO, messages.pack({})])
+            self.socket.send_multipart([identity, messages.WHO, messages.pack({})])

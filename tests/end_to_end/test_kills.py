@@ -9,15 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import fsspec
-import numpy as np
 import outage
 import pytest
-from node_runs import ARRAY, DEADLINE_S, Running, adds_up, capture_blocks, until
+from node_runs import ARRAY, DEADLINE_S, Running, adds_up, assert_same_chart, undisturbed, until
 
 from chachart.config.settings import QualitySettings, StateSettings, WorkersSettings
-from chachart.node.data.chart import ChartUpdate
-from chachart.node.data.csi import CsiBlock
-from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.options import Options
 from chachart.node.runtime.node import Node
 from chachart.node.runtime.plan import Plan
@@ -30,16 +26,6 @@ AFTER = 8000
 
 MakeNode = Callable[..., Node]
 RunNode = Callable[..., Running]
-
-
-def undisturbed(frames: int) -> ChartUpdate:
-    """The chart that the library makes of as many frames."""
-    estimator, loop = ChartEstimator(ARRAY, averaging="mean"), CsiBlock.concatenate(capture_blocks())
-    loops, rest = divmod(frames, len(loop))
-    for _ in range(loops - 1):
-        estimator.update(loop)
-    update = estimator.update(CsiBlock.concatenate([loop, loop.cut(0, rest)]) if rest else loop)
-    return update.take(np.argsort(update.ue))
 
 
 @pytest.fixture
@@ -77,13 +63,7 @@ def stop_and_compare(node: Node) -> dict[str, Any]:
     assert summary["frames_in"] == summary["frames_estimated"]
     assert summary["dropped"] == {}
     assert (summary["state_lost"], summary["ues_reset"]) == (0, 0)
-    chart, expected = node.chart(), undisturbed(summary["frames_in"])
-    assert chart is not None
-    chart = chart.take(np.argsort(chart.ue))
-    np.testing.assert_array_equal(chart.ue, expected.ue)
-    np.testing.assert_array_equal(chart.snapshots, expected.snapshots)
-    for name in ("theta", "rho", "x", "y", "theta_std", "rho_std", "snr", "p_direct"):
-        np.testing.assert_allclose(chart.columns[name], expected.columns[name], rtol=1e-5, err_msg=name)
+    assert_same_chart(node.chart(), undisturbed(summary["frames_in"]))
     return summary
 
 

@@ -13,8 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.columns import COLUMNS
 from chachart.node.data.csi import CsiBlock
 from chachart.node.data.geometry import ArrayGeometry
+from chachart.node.estimation.estimator import ChartEstimator
 
 DEADLINE_S = 60.0
 ARRAY = ArrayGeometry("lab", 16, 8, 2e9, 312_500.0, 0.0749481145)
@@ -95,3 +98,26 @@ class Running:
 def adds_up(summary: dict[str, Any]) -> bool:
     """Every frame that came in was estimated or dropped for a reason."""
     return bool(summary["frames_in"] == summary["frames_estimated"] + sum(summary["dropped"].values()))
+
+
+def undisturbed(frames: int) -> ChartUpdate:
+    """The chart that the library makes of as many frames."""
+    estimator, loop = ChartEstimator(ARRAY, averaging="mean"), CsiBlock.concatenate(capture_blocks())
+    loops, rest = divmod(frames, len(loop))
+    for _ in range(loops - 1):
+        estimator.update(loop)
+    update = estimator.update(CsiBlock.concatenate([loop, loop.cut(0, rest)]) if rest else loop)
+    return update.take(np.argsort(update.ue))
+
+
+def assert_same_chart(chart: ChartUpdate | None, expected: ChartUpdate, *, logged: bool = False) -> None:
+    """They have the same UEs, which have learnt the same; a log rounds to the decimals of its columns."""
+    assert chart is not None
+    chart = chart.take(np.argsort(chart.ue))
+    np.testing.assert_array_equal(chart.ue, expected.ue)
+    np.testing.assert_array_equal(chart.snapshots, expected.snapshots)
+    for name in ("theta", "rho", "x", "y", "theta_std", "rho_std", "snr", "p_direct"):
+        atol = 10.0 ** -COLUMNS[name].decimals if logged else 0.0
+        np.testing.assert_allclose(
+            chart.columns[name], expected.columns[name], rtol=1e-5, atol=atol, err_msg=name
+        )

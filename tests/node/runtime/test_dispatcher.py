@@ -70,6 +70,7 @@ class Surroundings:
             "state": {"retain_mib": 1.0, "every_s": 0.0, "directory": None},
             "estimator": {"theta": "bartlett", "rho": "bartlett"},
             "sockets": ends,
+            "keys": None,
             "tally": str(folder / "tally"),
             "time_tolerance_s": math.inf,
             "csi_sinks": [],
@@ -98,7 +99,7 @@ class Surroundings:
         socket = self.context.socket(zmq.DEALER)
         self._workers.append(socket)
         socket.connect(f"ipc://{self._folder}/workers")
-        hello = {"shard": shard, "pid": pid, "ues": 0, **(done or Done()).facts()}
+        hello = {"shard": shard, "pid": pid, "host": "here", "ues": 0, **(done or Done()).facts()}
         socket.send_multipart([messages.HELLO, messages.pack(hello)])
         assert received(socket)[0] == messages.CONFIGURE
         return socket
