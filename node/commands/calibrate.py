@@ -4,6 +4,7 @@
     chachart calibrate capture.mcap --ue 7 --position 120.5,-33,1.5 -o cal.toml
     chachart calibrate capture.mcap --check cal.toml                           how good is it still?
     chachart calibrate capture.mcap --offsets reftx-offsets.json -o cal.toml   take over sto and cpo
+    chachart calibrate capture.mcap --offsets boards.npy -o cal.toml           or what pyespargos saved
     chachart calibrate capture.mcap --per-start --corrected undone.mcap        chains that flip between starts
     chachart calibrate hall.mcap --arrays -o arrays.toml                       poses and clocks of several
     chachart calibrate hall.mcap --arrays --places places.csv -o arrays.toml   places: ue,x,y,z[,time]
@@ -30,7 +31,7 @@ from chachart.node.commands.shared import placing, starts
 from chachart.node.commands.shared.calibrating import Finding, check, find, read
 from chachart.node.commands.shared.cli import check_writable
 from chachart.node.data.errors import SetupError
-from chachart.node.files.calibration import load_calibration, load_offsets, save_calibration
+from chachart.node.files.calibration import load_calibration, load_offsets, load_response, save_calibration
 from chachart.node.files.placements import save_placements
 from chachart.node.files.recording import RecordingReader
 from chachart.node.files.survey import read_survey
@@ -45,7 +46,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", type=Path, metavar="CAL.toml", help="where to write the calibration"
     )
     parser.add_argument(
-        "--offsets", type=Path, metavar="FILE.json", help="take over sto and cpo of DICHASUS data instead"
+        "--offsets",
+        type=Path,
+        metavar="FILE",
+        help="take over sto and cpo of DICHASUS data (.json) or what pyespargos saved of boards (.npy)",
     )
     parser.add_argument("--band", type=int, metavar="N", help="subcarriers of the whole band, for --offsets")
     parser.add_argument("--channels", type=_channels, metavar="6,2,16,...", help="the array's, for --offsets")
@@ -90,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.corrected is not None:
         raise SetupError("--corrected goes with --per-start; a calibration is undone by [array] calibration")
     if sum(map(bool, (arguments.ue, arguments.check, arguments.offsets))) != 1:
-        raise SetupError("say either --ue ID, whose place is known, --check CAL.toml or --offsets FILE.json")
+        raise SetupError("say either --ue ID, whose place is known, --check CAL.toml or --offsets FILE")
     if arguments.position is not None and len(arguments.ue) > 1:
         raise SetupError("--position is the place of one UE; give --ue once")
     reader = RecordingReader(arguments.recording)
@@ -122,8 +126,12 @@ def run(arguments: argparse.Namespace) -> int:
 def _take_over(arguments: argparse.Namespace, reader: RecordingReader) -> int:
     if arguments.output is None:
         raise SetupError("--offsets needs -o CAL.toml, where to write the calibration")
+    path, channels = arguments.offsets, arguments.channels
     try:
-        calibration = load_offsets(arguments.offsets, reader.array, arguments.band, arguments.channels)
+        if path.suffix == ".npy":
+            calibration = load_response(path, reader.array, channels)
+        else:
+            calibration = load_offsets(path, reader.array, arguments.band, channels)
     except ValueError as error:
         raise SetupError(str(error)) from None
     save_calibration(arguments.output, calibration, f"chachart calibrate --offsets {arguments.offsets.name}")

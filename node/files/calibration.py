@@ -124,6 +124,67 @@ def load_offsets(
     return Calibration.of(np.arange(len(sto)), np.exp(-1j * cpo), common, delay_s)
 
 
+def load_response(path: Path, array: ArrayGeometry, channels: tuple[int, ...] | None = None) -> Calibration:
+    """The phases in a `.npy` file of pyespargos' combined-array-calibration: (boards, rows, columns, tones).
+
+    The file holds what the antennas gave of one reference; as there, phases alone count. Tones are numbered
+    from minus to plus half their number, the middle one included. What antennas differ in is a phase and a
+    delay each; what is left at each tone is common to all.
+
+    Parameters
+    ----------
+    path
+        The file.
+    array
+        Whose antennas and tones these are.
+    channels
+        Which antennas, counted board by board and row by row, are the array's elements; None: all in order.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, or holds none of this array.
+    """
+    try:
+        with path.open("rb") as file:
+            response = np.load(file, allow_pickle=False)
+        flat = response.reshape(-1, response.shape[-1]).astype(np.complex128)
+        flat = flat if channels is None else flat[list(channels)]
+    except OSError as error:
+        raise ValueError(f"{path} cannot be read: {error.strerror or error}") from None
+    except (ValueError, EOFError, IndexError, TypeError):
+        raise ValueError(
+            f"{path} must be an array (boards, rows, columns, tones) of complex numbers"
+        ) from None
+    if len(flat) != array.antennas:
+        raise ValueError(f"{path} is of {len(flat)} antennas, the array has {array.antennas}: say which")
+    numbers = array.tone_numbers
+    at = np.arange(array.subcarriers) if array.tones is None else numbers + flat.shape[1] // 2
+    if at.min() < 0 or at.max() >= flat.shape[1] or (array.tones is None and len(at) != flat.shape[1]):
+        raise ValueError(f"{path} has {flat.shape[1]} tones, not the array's {numbers[0]} to {numbers[-1]}")
+    flat = flat[:, at]
+    if not (np.isfinite(flat) & (flat != 0)).all():
+        raise ValueError(f"{path} has antennas or tones without a phase")
+    flat = flat / np.abs(flat)
+    other = flat * flat[0].conj()
+    gaps = np.diff(numbers)
+    even = gaps == gaps.min()
+    steps = (other[:, 1:] * other[:, :-1].conj())[:, even].sum(axis=1)
+    slope = np.angle(steps) / gaps.min()
+    # The steps' mean is of neighbours; the whole band tells the rest of the slope more exactly.
+    for _ in range(2):
+        left = other * np.exp(-1j * slope[:, None] * numbers)
+        left *= left.mean(axis=1, keepdims=True).conj()
+        centred = numbers - numbers.mean()
+        slope = slope + np.angle(left) @ centred / (centred @ centred)
+    slope -= slope.mean()
+    phases = (other * np.exp(-1j * (slope - slope[0])[:, None] * numbers)).mean(axis=1)
+    antenna = phases / np.abs(phases)
+    common = (flat * (antenna[:, None] * np.exp(1j * slope[:, None] * numbers)).conj()).mean(axis=0)
+    delay_s = -slope / (2 * np.pi * array.subcarrier_spacing_hz)
+    return Calibration.of(np.arange(len(flat)), antenna, common / np.abs(common), delay_s)
+
+
 def save_calibration(path: Path, calibration: Calibration, note: str) -> None:
     """Write a calibration to a file.
 

@@ -18,7 +18,7 @@ from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.calibrate import spherical
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.symmetries import symmetries
-from chachart.node.files.calibration import load_calibration, load_offsets, save_calibration
+from chachart.node.files.calibration import load_calibration, load_offsets, load_response, save_calibration
 from chachart.node.files.recording import RecordingWriter
 
 WAVE_M = 0.2357
@@ -142,6 +142,37 @@ def test_offsets_of_a_data_set_are_taken_over(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="is of 4 channels, the array has 2"):
         load_offsets(tmp_path / "offsets.json", ArrayGeometry("b", 2, 4, 1e9, 1e6, 0.1))
     assert load_offsets(tmp_path / "offsets.json", array, 1024, (3, 2, 1, 0)).antenna_phase_rad[0] == -0.3
+
+
+def test_what_pyespargos_saved_of_combined_boards_is_taken_over(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    numbers = np.arange(-58, 59)
+    phase, slope = rng.uniform(-np.pi, np.pi, 16), rng.uniform(-0.1, 0.1, 16)
+    common = np.exp(0.3j * np.sin(numbers / 20))
+    response = np.exp(1j * (phase[:, None] + slope[:, None] * numbers)) * common
+    gains = rng.uniform(0.5, 2, (16, 1))
+    np.save(tmp_path / "boards.npy", (gains * response).reshape(2, 2, 4, -1).astype(np.complex64))
+    tones = tuple(n for n in range(-56, 57, 2) if n)
+    array = ArrayGeometry.of_elements("a", grid(4, 4, 0.06), len(tones), 2.4e9, 312_500.0, tones=tones)
+    csi = np.ones((1, 16, len(tones)), np.complex64)
+    order = tuple(int(n) for n in rng.permutation(16))
+    with RecordingWriter(tmp_path / "a.mcap", array):
+        pass
+    words = ["--offsets", str(tmp_path / "boards.npy"), "--channels", ",".join(map(str, order))]
+    assert main(["calibrate", str(tmp_path / "a.mcap"), *words, "-o", str(tmp_path / "c.toml")]) == 0
+    corrector = load_calibration(tmp_path / "c.toml").corrector(array.offsets_hz)
+    heard = csi * response[list(order)][:, np.array(tones) + 58].astype(np.complex64)
+    right = corrector(heard)
+    np.testing.assert_allclose(right / right[:, :1, :1], 1, atol=1e-4)
+    with pytest.raises(ValueError, match="has 117 tones, not the array's 0 to 63"):
+        load_response(
+            tmp_path / "boards.npy", ArrayGeometry.of_elements("b", grid(4, 4, 0.06), 64, 2.4e9, 1e6)
+        )
+    with pytest.raises(ValueError, match="is of 16 antennas, the array has 2"):
+        load_response(tmp_path / "boards.npy", ArrayGeometry("b", 2, 4, 1e9, 1e6, 0.1))
+    np.save(tmp_path / "none.npy", np.array(None), allow_pickle=True)
+    with pytest.raises(ValueError, match="must be an array"):
+        load_response(tmp_path / "none.npy", array)
 
 
 def test_delays_survive_a_file(tmp_path: Path) -> None:
