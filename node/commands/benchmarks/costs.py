@@ -10,9 +10,7 @@ import tempfile
 import threading
 import time
 import tracemalloc
-from collections import Counter, defaultdict
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -23,36 +21,24 @@ from chachart.config.settings import ArraySettings
 from chachart.node.commands.benchmarks import fusion
 from chachart.node.commands.benchmarks.extrapolate import Costs
 from chachart.node.commands.benchmarks.kernels import noisy_blocks
-from chachart.node.commands.benchmarks.pipeline import CAPTURE
-from chachart.node.commands.benchmarks.running import RunningNode, children
-from chachart.node.commands.ctl import ask
+from chachart.node.commands.benchmarks.watched import Threads, watch
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.csi import CsiBlock
-from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.estimation.fusion.estimator import FusedEstimator
 from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
 from chachart.node.estimation.options import Options
 from chachart.node.files.folders import LocalFolder
-from chachart.node.files.recording import RecordingWriter
-from chachart.node.net.client import subscribe
 from chachart.node.net.wire import encode_chart, encode_csi
 from chachart.node.runtime.processor import estimator_of
 from chachart.node.runtime.table import ChartTable
 
 BLOCK = 64
-WARM_UP_ROUNDS = 3
 STATE_UES = 32768
 """So many that all else in the process that holds them is little."""
-START_WITHIN_S = 60.0
-POLL_S = 0.02
-LISTEN_S = 0.2
 HOP_S = 1.0
 FUSED_UES = 64
 DISK_BYTES = 128 * 2**20
-
-Threads = dict[tuple[str, str], float]
-"""Seconds of processor time by process and thread."""
 
 
 def measure(
@@ -77,7 +63,7 @@ def measure(
     blocks = noisy_blocks(array, ues, BLOCK)
     with tempfile.TemporaryDirectory(prefix="chachart-bench-") as name:
         directory = Path(name)
-        threads, subscriber = _node(directory, array, blocks, seconds, method)
+        node = watch(directory, array, blocks, seconds, method)
         done(1)
         disk_rate = _disk(directory)
     state = footprint(STATE_UES)["state_bytes"] / STATE_UES
@@ -88,18 +74,15 @@ def measure(
     fuser = _fuser(seconds)
     done(1)
 
-    def of(process: str, *names: str) -> float:
-        return sum(us for (at, thread), us in threads.items() if at == process and thread in names)
-
     costs = Costs(
-        reader=of("feeder", "reader"),
-        dispatcher=of("feeder", "main"),
-        feeder_io=of("feeder", "io"),
-        worker=of("worker 0", "main", "io", "other"),
-        collector=of("main", "node"),
-        publisher=of("main", "sink publisher"),
-        main_io=of("main", "io"),
-        subscriber=subscriber,
+        reader=node.spent("feeder", "reader"),
+        dispatcher=node.spent("feeder", "main"),
+        feeder_io=node.spent("feeder", "io"),
+        worker=node.spent("worker"),
+        collector=node.spent("main", "node"),
+        publisher=node.spent("main", "sink publisher"),
+        main_io=node.spent("main", "io"),
+        subscriber=node.subscriber,
         fuser=fuser,
         state=state,
         row=row,
@@ -109,107 +92,10 @@ def measure(
         curve_rate=encrypted,
         disk_rate=disk_rate,
     )
-    return costs, threads
+    return costs, node.threads
 
 
 STEPS = 4
-
-
-def _node(
-    directory: Path, array: ArrayGeometry, blocks: list[CsiBlock], seconds: float, method: tuple[str, str]
-) -> tuple[Threads, float]:
-    """Microseconds a frame of each thread of a node at full speed, and of who subscribes to it."""
-    with RecordingWriter(directory / CAPTURE, array) as writer:
-        for block in blocks:
-            writer.write(block)
-    ues = sum(len(block) for block in blocks)
-    heard, stop = Counter[str](), threading.Event()
-    listener = threading.Thread(target=_listen, args=(f"ipc://{directory}/charts", heard, stop))
-    with RunningNode(directory, _config(directory, ues, method)) as node:
-        listener.start()
-        try:
-            first = _more_than(node, directory, WARM_UP_ROUNDS * ues)
-            before = thread_times(node.pid)
-            node.rest(seconds)
-            frames = _more_than(node, directory, _estimated(directory)) - first
-            after = thread_times(node.pid)
-        finally:
-            stop.set()
-            listener.join()
-    if not heard["rows"]:
-        raise SetupError("the node published no row")
-    spent = {key: (seconds - before.get(key, 0.0)) / frames * 1e6 for key, seconds in after.items()}
-    return spent, heard["ns"] / heard["rows"] / 1e3
-
-
-def _listen(endpoint: str, heard: Counter[str], stop: threading.Event) -> None:
-    with subscribe(endpoint, timeout=LISTEN_S) as charts:
-        while not stop.is_set():
-            with suppress(TimeoutError):
-                update = next(iter(charts))
-                heard["rows"] += len(update)
-                heard["ns"] = time.thread_time_ns()
-
-
-def _config(directory: Path, ues: int, method: tuple[str, str]) -> str:
-    return f"""
-[array]
-subcarrier_spacing_hz = 312500.0
-[source]
-type = "recording"
-path = "{directory / CAPTURE}"
-speed = 0
-loops = 0
-[estimator]
-theta = "{method[0]}"
-rho = "{method[1]}"
-max_ues = {ues}
-[quality]
-every_s = 3600
-[[sinks]]
-type = "publisher"
-endpoint = "ipc://{directory}/charts"
-[[sinks]]
-type = "control"
-endpoint = "ipc://{directory}/control"
-"""
-
-
-def _more_than(node: RunningNode, directory: Path, frames: int) -> int:
-    """Wait until more frames are estimated, and give how many: the node counts anew twice a second."""
-    deadline = time.monotonic() + START_WITHIN_S
-    while True:
-        with suppress(SetupError):
-            if (estimated := _estimated(directory)) > frames:
-                return estimated
-        if time.monotonic() > deadline:
-            raise SetupError(
-                f"the node did not estimate more than {frames} frames within {START_WITHIN_S:g} s"
-            )
-        node.rest(POLL_S)
-
-
-def _estimated(directory: Path) -> int:
-    return int(ask(f"ipc://{directory}/control", {"op": "status"}, 2.0)["frames_estimated"])
-
-
-def thread_times(pid: int) -> Threads:
-    """Processor time so far, in seconds, of a node's threads; ZeroMQ's are `io`, nameless ones `other`."""
-    found: Threads = defaultdict(float)
-    for process, at in {"main": pid, **children(pid)}.items():
-        comm = Path(f"/proc/{at}/comm").read_text()
-        for task in Path(f"/proc/{at}/task").iterdir():
-            with suppress(OSError):
-                name = (task / "comm").read_text().strip()
-                spent_ns = int((task / "schedstat").read_text().split()[0])
-                if task.name == str(at):
-                    name = "main"
-                elif name.startswith("ZMQ"):
-                    name = "io"
-                elif name == comm.strip():
-                    name = "other"
-                found[process, name] += spent_ns / 1e9
-    return found
 
 
 def _rows(array: ArrayGeometry, blocks: list[CsiBlock], method: tuple[str, str]) -> tuple[float, float]:

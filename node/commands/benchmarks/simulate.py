@@ -10,6 +10,7 @@ from dataclasses import fields
 from chachart.node.commands.benchmarks import costs as measuring
 from chachart.node.commands.benchmarks.extrapolate import Costs, Demand, Needs, ceilings, needs
 from chachart.node.commands.benchmarks.report import Table
+from chachart.node.commands.benchmarks.watched import Threads
 from chachart.node.commands.shared.cli import progress
 from chachart.node.runtime.capacity import memory_bytes
 
@@ -65,7 +66,7 @@ def run(arguments: argparse.Namespace, footprint: Footprint) -> list[Table]:
     return [_threads(title, threads), _costs(title, costs), _ceilings(costs, one), _needs(costs, demands)]
 
 
-def _threads(title: str, threads: measuring.Threads) -> Table:
+def _threads(title: str, threads: Threads) -> Table:
     table = Table(
         f"a node at full speed, one worker: {title}",
         ["process, thread", "us a frame", "% of the busiest", "what it does"],

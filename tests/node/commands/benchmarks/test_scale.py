@@ -81,7 +81,16 @@ def test_a_demand_that_is_none_is_told(text: str) -> None:
 def test_it_measures_a_node_and_computes(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in {"STATE_UES": 512, "DISK_BYTES": 2**20, "HOP_S": 0.1, "FUSED_UES": 4}.items():
         monkeypatch.setattr(measuring, name, value)
+    monkeypatch.setattr(scale, "NODE_UES", 256)
+    monkeypatch.setattr(scale, "SIZES", ((8, 8),))
     told: dict[str, Any] = {"theta": "bartlett", "rho": "isq", "max_ues": 256, "seconds": 0.3}
+    by_workers, _, by_size, kept = scale.run(argparse.Namespace(simulate=None, workers=[2], **told))
+    [(workers, rate, *shares, _)] = by_workers.rows
+    assert workers == 2
+    assert rate > 0
+    assert sum(shares[:-1]) <= shares[-1] + shares[2] + 4, "parts, two workers, and what is left make all"
+    assert len(by_size.rows) == 1
+    assert all(isinstance(cell, int) and cell > 100 for row in kept.rows for cell in row[1:])
     tables = scale.run(argparse.Namespace(simulate=["ues=1e6", "ues=1e8,arrays=4"], **told))
     threads, costs, node, needed = tables
     measured = {row[0] for row in threads.rows}
