@@ -19,9 +19,11 @@ from chachart.config.pairing import FeedSettings, paired
 from chachart.config.registry import Kind, available, settings_class, suggestion
 from chachart.config.settings import ArraySettings, QualitySettings, StateSettings, WorkersSettings
 from chachart.config.shipped import LAB, find
+from chachart.node.data.alerts import AlertSettings
 from chachart.node.data.errors import SetupError
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.settings import Settings
+from chachart.node.data.zones import ZoneSettings
 from chachart.node.estimation.fit import misfits, unreachable
 from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
 from chachart.node.estimation.options import Options
@@ -29,18 +31,8 @@ from chachart.node.net.security import SecuritySettings
 from chachart.sinks.base import SinkSettings
 from chachart.sources.base import SourceSettings
 
-SECTIONS = (
-    "array",
-    "source",
-    "estimator",
-    "fusion",
-    "tracking",
-    "workers",
-    "quality",
-    "state",
-    "security",
-    "sinks",
-)
+_WHAT = ("array", "source", "estimator", "fusion", "tracking")
+SECTIONS = (*_WHAT, "workers", "quality", "state", "security", "zones", "alerts", "sinks")
 
 AnySettings = TypeVar("AnySettings", bound=Settings)
 Location = tuple[str | int, ...]
@@ -68,7 +60,7 @@ class NodeSettings:
     ----------
     feeds
         The sources, each with its arrays.
-    estimator, workers, quality, state, sinks, security, fusion, tracking
+    estimator, workers, quality, state, sinks, security, fusion, tracking, zones, alerts
         The other sections of the configuration.
     """
 
@@ -81,6 +73,8 @@ class NodeSettings:
     security: SecuritySettings = field(default_factory=SecuritySettings)
     fusion: FusionOptions = field(default_factory=FusionOptions)
     tracking: TrackingOptions = field(default_factory=TrackingOptions)
+    zones: tuple[ZoneSettings, ...] = ()
+    alerts: tuple[AlertSettings, ...] = ()
 
     @property
     def source(self) -> SourceSettings:
@@ -175,7 +169,12 @@ class _Loader:
         state = self._section(StateSettings, "state")
         fusion = self._section(FusionOptions, "fusion")
         tracking = self._section(TrackingOptions, "tracking")
-        sinks = [self._component("sink", ("sinks", n), table) for n, table in enumerate(self._sinks())]
+        zones = [self._validate(ZoneSettings, *one) for one in self._listed("zones")]
+        alerts = [self._validate(AlertSettings, *one) for one in self._listed("alerts")]
+        sinks = [self._component("sink", *one) for one in self._listed("sinks")]
+        self._named("zones", zones)
+        self._named("alerts", alerts)
+        self._zones_of(alerts, [zone.name for zone in zones if zone])
         geometries = [self._geometry(array) for array in arrays if array]
         if estimator and len(geometries) == 1 and (geometry := geometries[0]):
             for key, problem in (*misfits(estimator, geometry), *unreachable(estimator, geometry)):
@@ -198,6 +197,8 @@ class _Loader:
             cast(SecuritySettings, security),
             cast(FusionOptions, fusion),
             cast(TrackingOptions, tracking),
+            tuple(cast(list[ZoneSettings], zones)),
+            tuple(cast(list[AlertSettings], alerts)),
         )
 
     def _wrong(self, location: Location, problem: str, value: Any = None) -> None:
@@ -233,12 +234,25 @@ class _Loader:
         self._wrong((section,), f"must be a table: [{section}] on a line of its own, its keys below", table)
         return None
 
-    def _sinks(self) -> list[dict[str, Any]]:
-        sinks = self.document.get("sinks", [])
-        if isinstance(sinks, list) and all(isinstance(s, dict) for s in sinks):
-            return sinks
-        self._wrong(("sinks",), "must be a list of tables: [[sinks]] in front of each, its keys below")
+    def _listed(self, section: str) -> list[tuple[Location, dict[str, Any]]]:
+        """The tables of a section that may have any number of them, each with where it is."""
+        tables = self.document.get(section, [])
+        if isinstance(tables, list) and all(isinstance(table, dict) for table in tables):
+            return [((section, n), table) for n, table in enumerate(tables)]
+        self._wrong((section,), f"must be a list of tables: [[{section}]] in front of each, its keys below")
         return []
+
+    def _named(self, section: str, tables: Sequence[ZoneSettings | AlertSettings | None]) -> None:
+        """Each must have a name of its own."""
+        names = [table.name for table in tables if table]
+        for name in sorted({name for name in names if names.count(name) > 1}):
+            self._wrong((section,), f'"{name}" is there more than once; each needs a name of its own')
+
+    def _zones_of(self, alerts: Sequence[AlertSettings | None], zones: list[str]) -> None:
+        for n, alert in enumerate(alerts):
+            if alert and alert.zone is not None and alert.zone not in zones:
+                hint = suggestion(alert.zone, zones)
+                self._wrong(("alerts", n, "zone"), f"there is no such zone in [[zones]]{hint}", alert.zone)
 
     def _section(self, model: type[AnySettings], section: str) -> AnySettings | None:
         table = self._table(section)

@@ -8,7 +8,8 @@ from typing import Any
 
 Location = tuple[str | int, ...]
 
-LABELS = {"sinks": "type", "source": "type", "array": "name"}
+LABELS = {"sinks": "type", "source": "type", "array": "name", "zones": "name", "alerts": "name"}
+LISTED = ("sinks", "zones", "alerts")
 """Sections that may stand there several times, and the key by which one of them is called."""
 
 
@@ -57,7 +58,7 @@ def parse_value(text: str) -> Any:
 def _locate(document: dict[str, Any], keys: list[str]) -> Location:
     section = keys[0]
     tables = document.get(section)
-    if section not in LABELS or (section != "sinks" and not isinstance(tables, list)):
+    if section not in LABELS or (section not in LISTED and not isinstance(tables, list)):
         return tuple(keys)
     noun, label = section.removesuffix("s"), LABELS[section]
     tables = tables if isinstance(tables, list) else []

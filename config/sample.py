@@ -14,6 +14,8 @@ from pydantic.fields import FieldInfo
 from chachart.config.describe import allowed, alternatives, literal_values, nested_model, toml
 from chachart.config.registry import Kind, available, settings_class
 from chachart.config.settings import ArraySettings, QualitySettings, StateSettings, WorkersSettings
+from chachart.node.data.alerts import AlertSettings
+from chachart.node.data.zones import ZoneSettings
 from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
 from chachart.node.estimation.options import Options
 from chachart.node.net.security import SecuritySettings
@@ -41,6 +43,7 @@ def configuration() -> str:
         _section("[quality]", QualitySettings),
         _section("[security]", SecuritySettings),
         _section("[state]", StateSettings),
+        _comment("[[zones]] and [[alerts]]: any number, none by default; config/SETTINGS.md has their keys."),
         _others("sink"),
         component("sink", "publisher"),
     ]
@@ -71,6 +74,8 @@ def table() -> str:
         ("[quality]", QualitySettings),
         ("[security]", SecuritySettings),
         ("[state]", StateSettings),
+        ("[[zones]]", ZoneSettings),
+        ("[[alerts]]", AlertSettings),
     ):
         parts.append(_markdown(f"`{header}`", model))
     for kind, header in zip(_KINDS, ("[source]", "[[sinks]]"), strict=True):

@@ -186,6 +186,13 @@ class Sink(ABC):
     def on_status(self, report: dict[str, Any]) -> None:
         """The node's counters and rates."""
 
+    def on_alert(self, event: dict[str, Any]) -> None:
+        """What one of `[[alerts]]` has to say.
+
+        `alert`, `on`, `state` (raised or ended), `text`, `ue` and `zone` where it is about them, `ues` (how
+        many it stands for), `time_ns`, `number`.
+        """
+
     def on_tick(self) -> None:
         """Called about 20 times a second between the other calls, for whatever must not wait for data."""
 

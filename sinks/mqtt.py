@@ -107,6 +107,10 @@ class Mqtt(Sink):
         """Send the report, to stay with the broker."""
         self._send("status", report, retain=True)
 
+    def on_alert(self, event: dict[str, Any]) -> None:
+        """Send it."""
+        self._send("alert", event)
+
     def on_tick(self) -> None:
         """Send what is gathered when it is time."""
         update = self._gathering.due()

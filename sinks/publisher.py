@@ -1,4 +1,4 @@
-"""Charts over ZeroMQ to whoever subscribes: topics `chart.<array>`, `quality.<array>`, `status.<array>`."""
+"""Charts over ZeroMQ to whoever subscribes: topics `chart`, `quality`, `status`, `alert`, each `.<array>`."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Publisher(Sink):
         self._doorkeeper: Doorkeeper | None = None
         self._node: NodeAccess | None = None
         self._endpoint: str | None = None
-        self._seq = {"chart": 0, "quality": 0, "status": 0}
+        self._seq = {"chart": 0, "quality": 0, "status": 0, "alert": 0}
         self._whole: tuple[bytes, bytes] | None = None
         self._whole_until = 0.0
         self._since: list[ChartUpdate] = []
@@ -122,6 +122,10 @@ class Publisher(Sink):
     def on_status(self, report: dict[str, Any]) -> None:
         """Publish the report."""
         self._report("status", report)
+
+    def on_alert(self, event: dict[str, Any]) -> None:
+        """Publish it."""
+        self._report("alert", event)
 
     def on_tick(self) -> None:
         """Give whoever has subscribed since the last tick what there is: the whole chart, or a report."""
@@ -247,7 +251,7 @@ class Publisher(Sink):
 
     def _latest(self, kind: str) -> bytes | None:
         report = None
-        if self._node is not None:
+        if self._node is not None and kind != "alert":  # what was is no news
             report = self._node.quality() if kind == "quality" else self._node.status()
         if report is None:
             return None

@@ -12,6 +12,7 @@ The subscription outlives the node: it connects when the node is there and again
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
@@ -30,7 +31,8 @@ ENDPOINT = "tcp://127.0.0.1:5556"
 
 _RECONNECT_MS, _RECONNECT_MAX_MS = 100, 2000
 _HEARTBEAT_MS, _SILENCE_MS = 2000, 6000
-_KINDS = ("chart", "quality", "status")
+_KINDS = ("chart", "quality", "status", "alert")
+KEPT_ALERTS = 1000
 
 
 def subscribe(
@@ -78,6 +80,8 @@ class Subscription:
         How often a node began to count anew.
     quality, status
         The last quality and status report by array, None before the first.
+    alerts
+        The last alerts, oldest first; take them out with `popleft`.
     rejected
         Messages that were not protocol 1, by reason.
     """
@@ -96,6 +100,7 @@ class Subscription:
         self.gap = self.lost = self.restarts = 0
         self.quality: dict[str, Any] | None = None
         self.status: dict[str, Any] | None = None
+        self.alerts: deque[dict[str, Any]] = deque(maxlen=KEPT_ALERTS)
         self.rejected = Counters()
         self._next: dict[bytes, int] = {}
         self._context = zmq.Context()
@@ -172,6 +177,8 @@ class Subscription:
                 self.quality = decode_report("quality", body)
             elif kind == b"status":
                 self.status = decode_report("status", body)
+            elif kind == b"alert":
+                self.alerts.append(decode_report("alert", body))
             else:
                 seq, update = decode_chart(body)
                 self._count(topic, seq)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from chachart.node.data.alerts import AlertSettings
 from chachart.node.data.chart import ChartUpdate
+from chachart.node.data.zones import ZoneSettings
 from chachart.node.estimation.options import Options
+from chachart.node.runtime.alert_watch import AlertWatch
 from chachart.node.runtime.latency import Latency
 from chachart.node.runtime.plan import Plan
 from chachart.node.runtime.processor import FrameClock
@@ -34,9 +37,14 @@ class Collector:
         Whether a known position has been seen.
     latency
         Over the whole run.
+    alerts
+        Looks at the chart now and then.
     """
 
-    def __init__(self, estimator: Options) -> None:
+    def __init__(
+        self, estimator: Options, alerts: Sequence[AlertSettings] = (), zones: Sequence[ZoneSettings] = ()
+    ) -> None:
+        self.alerts = AlertWatch(alerts, zones)
         self.table = ChartTable(estimator.max_ues)
         self.sinks: list[SinkThread] = []
         self.latency = Latency()
@@ -64,6 +72,11 @@ class Collector:
                 sink.open(node)
                 self.sinks.append(sink)
 
+    def addresses(self) -> list[tuple[str, str]]:
+        """Where a person finds what the sinks give, by sink."""
+        places = ((sink.name, sink.where()) for sink in self.sinks)
+        return [(name, where) for name, where in places if where]
+
     def take(self, update: ChartUpdate, arrivals: Iterable[tuple[float, int]]) -> None:
         """An update, and when the frames behind it came in: (monotonic seconds, frames)."""
         self.table.update(update)
@@ -80,11 +93,17 @@ class Collector:
     def start_over(self) -> None:
         """The source has jumped in time: what the chart held is of another time."""
         self.table.clear()
+        self.alerts.start_over()
         self.clock.start_over()
 
-    def tick(self) -> None:
-        """Forget UEs unseen for too long."""
+    def tick(self, status: Mapping[str, Any]) -> None:
+        """Forget UEs unseen for too long, and raise alerts; `status` is the latest report."""
         now_ns = self.clock.now_ns()
+        if self.alerts.alerts:
+            clocks = time.monotonic(), time.time_ns()
+            for event in self.alerts.judge(self.table.chart(), now_ns, status, *clocks):
+                for sink in self.sinks:
+                    sink.alert(event)
         if self._forget_after_ns and now_ns is not None:
             self.table.forget(now_ns - self._forget_after_ns)
 

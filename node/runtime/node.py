@@ -63,7 +63,7 @@ class Node(NodeAccess):
         except SetupError:
             self._links.close()
             raise
-        self._collector = Collector(plan.estimator)
+        self._collector = Collector(plan.estimator, plan.alerts, plan.zones)
         report, endpoint = partial(self._collector.report, "quality"), self._links.endpoints["quality"]
         self._quality = QualityWatch(plan.quality, self.chart, report, self._launch.quality, endpoint)
         self._pending = PendingRequests(lambda values: self._links.command(messages.REQUEST, values))
@@ -135,8 +135,7 @@ class Node(NodeAccess):
 
     def addresses(self) -> list[tuple[str, str]]:
         """Where a person finds what the chart's sinks give, by sink."""
-        places = ((sink.name, sink.where()) for sink in self._collector.sinks)
-        return [(name, where) for name, where in places if where]
+        return self._collector.addresses()
 
     def kill(self) -> None:
         """End all child processes at once; a node that is killed leaves no summary."""
@@ -203,7 +202,7 @@ class Node(NodeAccess):
             now = time.monotonic()
             if now >= next_status:
                 next_status = now + STATUS_EVERY_S
-                self._collector.tick()
+                self._collector.tick(self._status)
                 self._update_status()
                 self._collector.report("status", self._status)
                 self._notifier.alive(words(self._status))

@@ -18,10 +18,12 @@ from chachart.config.settings import (
     StateSettings,
     WorkersSettings,
 )
+from chachart.node.data.alerts import AlertSettings
 from chachart.node.data.errors import SetupError
 from chachart.node.data.extras import missing
 from chachart.node.data.geometry import ArrayGeometry
 from chachart.node.data.placement import Placement, placed_arrays
+from chachart.node.data.zones import ZoneSettings
 from chachart.node.estimation.estimator import ChartEstimator
 from chachart.node.estimation.fusion.options import FusionOptions, TrackingOptions
 from chachart.node.estimation.options import Options
@@ -79,7 +81,7 @@ class Plan:
         The sources after the first, each with its arrays.
     placements
         What `[fusion] calibration` says of the arrays.
-    estimator, workers, quality, state, security, fusion, tracking
+    estimator, workers, quality, state, security, fusion, tracking, zones, alerts
         The other sections of the configuration.
     time_tolerance_s
         How far the time of a live frame may be from this host's.
@@ -100,6 +102,8 @@ class Plan:
     tracking: TrackingOptions = field(default_factory=TrackingOptions)
     further: tuple[Feed, ...] = ()
     placements: tuple[Placement, ...] = ()
+    zones: tuple[ZoneSettings, ...] = ()
+    alerts: tuple[AlertSettings, ...] = ()
 
     @classmethod
     def of(cls, settings: NodeSettings) -> Plan:
@@ -132,6 +136,8 @@ class Plan:
             settings.tracking,
             tuple(further),
             _placements(settings.fusion, arrays),
+            settings.zones,
+            settings.alerts,
         )
 
     @property

@@ -90,6 +90,7 @@ class Reporter:
             state_error=state_error,
             relative=self._relative(method),
             complaint=fed.get("complaint"),
+            alerts=self._collector.alerts.report(),
         ).as_dict()
         condition = self._condition.judge(status, time.monotonic())
         return {**status, "state": condition.state, "reason": condition.reason, "fix": condition.fix}

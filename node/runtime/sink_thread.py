@@ -50,6 +50,7 @@ class SinkThread:
         self._lossless = lossless
         self._queue: deque[ChartUpdate | CsiBlock] = deque()
         self._reports: dict[str, dict[str, Any]] = {}
+        self._alerts: deque[dict[str, Any]] = deque()
         self._condition = threading.Condition()
         self._closing = False
         self._complained = -COMPLAIN_EVERY_S
@@ -87,6 +88,15 @@ class SinkThread:
         """Hand over a `quality` or `status` report."""
         with self._condition:
             self._reports[kind] = values
+            self._condition.notify_all()
+
+    def alert(self, event: dict[str, Any]) -> None:
+        """Hand over an alert; none is left out, but where the sink has taken none for long."""
+        with self._condition:
+            if len(self._alerts) >= self._capacity:
+                self._alerts.popleft()
+                self.dropped.add("alerts", 1)
+            self._alerts.append(event)
             self._condition.notify_all()
 
     def close(self, timeout: float, patient: Callable[[], bool] = lambda: False) -> None:
@@ -150,13 +160,14 @@ class SinkThread:
     def _round(self) -> bool:
         """Hand over what waits, or tick; False when closing and nothing is left."""
         with self._condition:
-            if not self._queue and not self._reports and not self._closing:
+            if not (self._queue or self._reports or self._alerts or self._closing):
                 self._condition.wait(TICK_S)
-            items, reports = list(self._queue), self._reports
+            items, reports, alerts = list(self._queue), self._reports, list(self._alerts)
             self._queue.clear()
+            self._alerts.clear()
             self._reports = {}
             self._condition.notify_all()
-            if not items and not reports and self._closing:
+            if not (items or reports or alerts) and self._closing:
                 return False
         updates = [item for item in items if isinstance(item, ChartUpdate)]
         blocks = [item for item in items if isinstance(item, CsiBlock)]
@@ -167,6 +178,8 @@ class SinkThread:
         for block in blocks:
             self._call(self.sink.on_csi, block, frames=len(block))
             self._handed_over += len(block)
+        for event in alerts:
+            self._call(self.sink.on_alert, event)
         for kind, values in reports.items():
             self._call(self.sink.on_quality if kind == "quality" else self.sink.on_status, values)
         if time.monotonic() >= self._next_tick:

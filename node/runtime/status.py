@@ -76,6 +76,8 @@ class NodeStatus:
     sources
         Where there are several, one map each: {name (its arrays), type, pid, restarts, live, frames, quiet_s
         (since its last frame), ended, details}; pid is None while there is no process.
+    alerts
+        What `[[alerts]]` say: {active, counts, raised, recent, zones}, see `AlertWatch.report`.
     arrays
         Where several are fused, one map each: {name, share (of the last transmissions that it has heard),
         offset_ns (how late its clock is, None where that means nothing), offset_std_ns (deviation of that),
@@ -122,6 +124,7 @@ class NodeStatus:
     source_details: dict[str, Any] = field(default_factory=dict)
     sources: list[dict[str, Any]] = field(default_factory=list)
     arrays: list[dict[str, Any]] = field(default_factory=list)
+    alerts: dict[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values."""

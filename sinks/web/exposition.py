@@ -82,6 +82,19 @@ class _Collector(Collector):
         yield from self._sinks()
         yield from self._quality()
         yield from self._antennas()
+        yield from self._alerts()
+
+    def _alerts(self) -> Iterator[Metric]:
+        active = GaugeMetricFamily(
+            "chachart_alert_active", "UEs or antennas of which an alert holds, or 1.", labels=["alert"]
+        )
+        raised = CounterMetricFamily(
+            "chachart_alerts_raised", "How often an alert was raised.", labels=["alert"]
+        )
+        for name, count in self._status["alerts"].get("counts", {}).items():
+            active.add_metric([name], count)
+            raised.add_metric([name], self._status["alerts"]["raised"][name])
+        yield from (active, raised)
 
     def _sources(self) -> Iterator[Metric]:
         """Of several sources each."""

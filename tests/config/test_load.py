@@ -220,3 +220,38 @@ def test_a_sink_type_that_occurs_twice_needs_a_number(toml_file: Write) -> None:
     [line] = mistakes(path, "sinks.bin.endpoint=x")
     assert "several sinks" in line
     assert load(path, ["sinks.1.endpoint=x"]).sinks[1].model_dump()["endpoint"] == "x"
+
+
+ZONE = """[source]
+type = "simulator"
+[[zones]]
+name = "bay"
+circle = [0, 0, 5]
+"""
+
+
+@pytest.mark.parametrize(
+    ("more", "expected"),
+    [
+        (
+            '[[alerts]]\nname = "a"\non = "enter"\nzone = "bya"',
+            'there is no such zone in [[zones]]; did you mean "bay"?',
+        ),
+        ('[[alerts]]\nname = "a"\non = "enter"', 'zone must be set: on = "enter" is about one'),
+        ('[[alerts]]\nname = "a"\non = "tw"', 'limit must be set for on = "tw"'),
+        ('[[alerts]]\nname = "a"\non = "antenna"\nlimit = 1', 'limit means nothing for on = "antenna"'),
+        ('[[zones]]\nname = "bay"\ncircle = [1, 0, 5]', '"bay" is there more than once'),
+        ('[[zones]]\nname = "b"', "one of polygon and circle must be set"),
+    ],
+)
+def test_mistakes_in_zones_and_alerts(toml_file: Write, more: str, expected: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        load(toml_file(ZONE + more))
+    assert expected in str(error.value)
+
+
+def test_zones_and_alerts(toml_file: Write) -> None:
+    alert = '[[alerts]]\nname = "a"\non = "enter"\nzone = "bay"\n'
+    settings = load(toml_file(ZONE + alert), ["alerts.a.for_s=3", "zones.bay.circle=[1, 2, 3]"])
+    assert settings.zones[0].circle == (1.0, 2.0, 3.0)
+    assert (settings.alerts[0].zone, settings.alerts[0].for_s) == ("bay", 3.0)

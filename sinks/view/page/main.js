@@ -1,5 +1,6 @@
 // Ties the stream, the chart, the panels and the controls together.
 
+import { showAlerts } from './alerts.js';
 import { showAntennas, showResponse } from './antennas.js';
 import { showArrays, showBearings } from './arrays.js';
 import { redraw } from './curve.js';
@@ -126,6 +127,8 @@ stream.addEventListener('status', ({ detail }) => {
 function takeStatus(status) {
   showNode(status, statuses);
   showArrays(status);
+  showAlerts(status.alerts, toast);
+  picture.enclose(status.alerts.zones);
   $('method').hidden = fused();
   replay.take(status.source_details?.replay);
   history.take(status.history_s ?? 0, replay.shown);

@@ -1,5 +1,6 @@
 // The chart itself: when to draw, and in which order.
 
+import { drawZones } from './alerts.js';
 import { arraysOf, axisNames, drawPane, font, themeColours } from './axes.js';
 import { Colouring } from './colours.js';
 import { Scatter } from './scatter.js';
@@ -15,7 +16,7 @@ const OWN_PANE = 0.1; // share of UEs whose truth is known
 export class Picture {
   /** `selected(row or -1)` is called on a click. */
   constructor(element, world, selected) {
-    Object.assign(this, { element, world });
+    Object.assign(this, { element, world, zones: {} });
     [this.canvas, this.over] = element.querySelectorAll('canvas');
     this.context = this.canvas.getContext('2d', { alpha: false, willReadFrequently: true });
     this.scatter = new Scatter(this.context);
@@ -121,6 +122,13 @@ export class Picture {
     this.dirty = true;
   }
 
+  /** Zones by name: their corners. */
+  enclose(zones = {}) {
+    if (JSON.stringify(zones) === JSON.stringify(this.zones)) return;
+    this.zones = zones;
+    this.touch(true);
+  }
+
   #resize() {
     const ratio = window.devicePixelRatio || 1;
     const [width, height] = this.view.size.map((v) => Math.max(1, Math.round(v * ratio)));
@@ -159,6 +167,7 @@ export class Picture {
       this.context.fillRect(0, 0, this.canvas.width, this.canvas.height);
       for (const pane of panes) {
         this.plan?.draw(this.context, pane);
+        drawZones(this.context, pane, this.zones, this.colours, ratio);
         drawPane(this.context, { ...pane, title: titles.length > 1 ? pane.title : '' }, this.colours, ratio, this.pose, axes, !this.world.isRelative());
       }
       this.scatter.begin();

@@ -123,7 +123,7 @@ def test_rates() -> None:
 
 def test_charts_without_frames_have_no_latency() -> None:
     charts = Collector(Options())
-    charts.tick()
+    charts.tick({})
     assert charts.recent_latency_ms()["p50"] is None
 
 
