@@ -1,0 +1,113 @@
+"""Angle-delay profiles: short vectors whose distances say how unlike two UEs' channels are.
+
+A frame's profile is its angle-delay amplitude spectrum, which knows no phase and little of path loss, each
+array's scaled to energy 1. UEs side by side share most of their paths, whether or not a direct one is among
+them, so that near profiles mean near places (angle-delay dissimilarities: Stephan, Euchner and ten Brink,
+"Angle-delay profile-based and timestamp-aided dissimilarity metrics for channel charting", IEEE Trans.
+Commun. 2024). What is kept is a random projection of it, which keeps distances to a few percent (Johnson and
+Lindenstrauss 1984).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from chachart.node.estimation.fusion.site import Complex, Floats, Site, phasor
+
+Profiles = NDArray[np.float32]
+
+LENGTH = 128
+"""Numbers that a profile is projected to: distances keep to 6 %."""
+OVERSAMPLING = 1.5
+"""Beams and delays for each resolution cell."""
+MOST_BEAMS, MOST_DELAYS = 256, 128
+"""Larger spectra are sampled more coarsely in angle, and averaged over neighbouring delays."""
+_CHUNK_BYTES = 1 << 24
+
+
+class Profiler:
+    """Makes profiles of the frames of one or several arrays.
+
+    Parameters
+    ----------
+    sites
+        The arrays.
+    absolute
+        Whether delays are distances. If not, a profile does not change when all delays of a beam do.
+    """
+
+    def __init__(self, sites: Sequence[Site], absolute: bool = True) -> None:
+        self._pictures = [_Picture(site, number, absolute) for number, site in enumerate(sites)]
+
+    def of(self, frames: Sequence[Complex]) -> Profiles:
+        """Profiles (K, LENGTH) of one complex64 (K, N, S) an array, zeros where it has heard nothing."""
+        total = np.zeros((len(frames[0]), LENGTH), np.float32)
+        for picture, csi in zip(self._pictures, frames, strict=True):
+            total += picture.projected(csi)
+        return total
+
+
+class _Picture:
+    """One array's share in the profiles."""
+
+    def __init__(self, site: Site, number: int, absolute: bool) -> None:
+        self._beams = beams(site)
+        tones = len(site.tones_hz)
+        self._window = np.hanning(tones + 2)[1:-1].astype(np.float32)
+        self._pool = int(np.ceil(OVERSAMPLING * tones / MOST_DELAYS))
+        self._bins = int(np.ceil(OVERSAMPLING * tones / self._pool)) * self._pool
+        self._absolute = absolute
+        delays = self._bins // self._pool
+        self._shape = len(self._beams), delays if absolute else delays // 2 + 1
+        rng = np.random.default_rng(number)
+        size = self._shape[0] * self._shape[1]
+        self._projection = rng.standard_normal((size, LENGTH), np.float32) / np.float32(np.sqrt(LENGTH))
+
+    def projected(self, csi: Complex) -> Profiles:
+        """(K, LENGTH) of frames (K, N, S)."""
+        found = np.empty((len(csi), LENGTH), np.float32)
+        step = max(_CHUNK_BYTES // (8 * len(self._beams) * self._bins), 1)
+        for i in range(0, len(csi), step):
+            amplitude = self._amplitude(csi[i : i + step]).reshape(-1, self._projection.shape[0])
+            size = np.sqrt(np.einsum("kf,kf->k", amplitude, amplitude))
+            amplitude /= np.where(size > 0, size, 1)[:, None]
+            np.matmul(amplitude, self._projection, out=found[i : i + step])
+        return found
+
+    def _amplitude(self, csi: Complex) -> NDArray[np.float32]:
+        z = fft.ifft(np.matmul(self._beams, csi * self._window), self._bins, axis=2, norm="forward")
+        power = z.real**2 + z.imag**2
+        if self._pool > 1:
+            power = power.reshape(*power.shape[:2], -1, self._pool).mean(axis=3)
+        amplitude = np.sqrt(power)
+        return amplitude if self._absolute else np.abs(fft.rfft(amplitude, axis=2))
+
+
+def beams(site: Site) -> Complex:
+    """Conjugate steering vectors (D, N) of directions all round, as dense as the aperture tells them apart."""
+    around = (site.elements - site.centre) / site.wavelength_m
+    _, _, axes = np.linalg.svd(around, full_matrices=True)
+    places = around @ axes.T
+    aperture: Floats = np.ptp(places, axis=0)
+    over = OVERSAMPLING
+    while True:
+        directions = _directions(aperture, over)
+        if len(directions) <= MOST_BEAMS:
+            return phasor(-(directions @ places.T))
+        over *= 0.9
+
+
+def _directions(aperture: Floats, over: float) -> Floats:
+    """Projections (D, 3) of directions on the axes of an array; those without aperture are left at 0."""
+    wide = aperture > 1e-3
+    steps = [1 / (over * (a + 0.5)) for a in aperture]
+    axes = [np.arange(-1, 1 + s / 2, s) if w else np.zeros(1) for s, w in zip(steps, wide, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    size = np.linalg.norm(points, axis=1)
+    if wide.all():
+        return points[np.abs(size - 1) <= max(steps) / 2] / size[np.abs(size - 1) <= max(steps) / 2, None]
+    return points[size <= 1 + 1e-9]
