@@ -8,6 +8,10 @@ Recordings of several arrays are fused, as [fusion] and [tracking] say:
     chachart evaluate street.mcap --set fusion.clock=offset
     chachart evaluate walk.mcap --set tracking.motion=walk --smooth
 
+UEs whose own frames leave doubt can go where UEs with channels like theirs are; figures are of both charts:
+
+    chachart evaluate street.mcap --refine
+
 All frames of a UE count alike unless --set says otherwise. Methods that are not named are those that the
 capture allows. Errors are given as they are, in metres in the frame of the positions, and after the turn,
 mirror, scale and shift that fit best, which say what kind of error it is.
@@ -24,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from chachart.config.load import NodeSettings
-from chachart.node.commands.shared import fused
+from chachart.node.commands.shared import fused, refining
 from chachart.node.commands.shared.charting import (
     FEWEST_UES,
     Charted,
@@ -58,6 +62,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser)
     parser.add_argument("--chart", type=Path, metavar="FILE.png", help="draw truth and chart side by side")
     parser.add_argument("--smooth", action="store_true", help="with tracking: what comes later counts, too")
+    parser.add_argument(
+        "--refine", action="store_true", help="move doubtful UEs to where UEs with channels like theirs are"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
     parser.add_argument(
         "--table",
@@ -107,6 +114,11 @@ def run(arguments: argparse.Namespace) -> int:
     }
     compared, remark = _compared(chart, reader, estimator.method, settings)
     figures |= compared
+    if arguments.refine:
+        better = refining.refined(reader, chart, estimator.array)
+        truth = np.stack(chart.truth_of(reader.array), axis=1)
+        figures["refined"] = refining.figures(better, truth, settings.quality.k, settings.quality.exact_ues)
+        chart = chart.with_columns(x=better.place[:, 0], y=better.place[:, 1])
     method = f"{estimator.method.theta}/{estimator.method.rho}"
     _print(arguments.recording, method, figures, remark)
     _write(arguments, method, figures)
@@ -114,7 +126,8 @@ def run(arguments: argparse.Namespace) -> int:
         from chachart.node.commands.figures import chart as picture
         from chachart.node.commands.figures.style import write
 
-        charted = Charted(chart, reader.array, f"{arguments.recording.name}, {method}")
+        refined = ", refined" if arguments.refine else ""
+        charted = Charted(chart, reader.array, f"{arguments.recording.name}, {method}{refined}")
         write(arguments.chart, lambda: picture.draw(charted))
     return 0
 
@@ -201,6 +214,8 @@ def _print(recording: Path, method: str, figures: dict[str, Any], remark: str) -
         print(f"direction {figures['theta_error_deg']:.2f} degrees off, median")
     if figures["rho_error_m"] is not None:
         print(f"distance  {figures['rho_error_m']:.2f} m off, median")
+    if "refined" in figures:
+        refining.say(figures["refined"])
     for warning in figures["warnings"]:
         print(f"warning   {warning}")
     rate = figures["frames"] / figures["seconds"]

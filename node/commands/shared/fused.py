@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chachart.config.load import NodeSettings
+from chachart.node.commands.shared import refining
 from chachart.node.commands.shared.cli import progress
 from chachart.node.data.chart import ChartUpdate
 from chachart.node.data.errors import SetupError
@@ -62,6 +63,7 @@ def run(arguments: argparse.Namespace, reader: RecordingReader, settings: NodeSe
         if settings.tracking.lag:
             raise SetupError("--smooth and tracking.lag exclude each other")
         estimator.logbook = Logbook()
+    witness = _witness(estimator) if arguments.refine else None
     rows: list[ChartUpdate] = []
     started = time.perf_counter()
     frames = 0
@@ -88,10 +90,23 @@ def run(arguments: argparse.Namespace, reader: RecordingReader, settings: NodeSe
         figures["smoothed"] = True
     figures["seconds"] = time.perf_counter() - started
     figures |= _errors(rows, found, settings)
+    if witness is not None:
+        outlier, truth = (np.concatenate([row[name] for row in rows]) for name in ("outlier", "position"))
+        better = witness.refined(found, outlier)
+        quality = settings.quality
+        figures["refined"] = refining.figures(better, truth[:, :2], quality.k, quality.exact_ues)
     _print(arguments, figures)
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(figures, indent=2) + "\n")
     return 0
+
+
+def _witness(estimator: FusedEstimator) -> refining.Witness:
+    if estimator.tracker is not None:
+        raise SetupError("--refine and tracks exclude each other: --set tracking.motion=off")
+    witness = refining.Witness([receiver.site for receiver in estimator.receivers], estimator.clock)
+    estimator.witness = witness
+    return witness
 
 
 def _errors(rows: list[ChartUpdate], found: NDArray[Any], settings: NodeSettings) -> dict[str, Any]:
@@ -154,5 +169,7 @@ def _print(arguments: argparse.Namespace, figures: dict[str, Any]) -> None:
         print(f"outliers  {100 * figures['outliers']:.1f} % are more than {OUTLIER_M:.0f} m off{told}")
         if not smoothed:
             print(f"honesty   {figures['normalised_error']:.2f} mean squared error by stated variance")
+    if "refined" in figures:
+        refining.say(figures["refined"])
     rate = figures["positions"] / figures["seconds"]
     print(f"seconds   {figures['seconds']:.2f}  ({rate:.0f} positions/s)")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Final, cast
 
@@ -63,6 +63,10 @@ class FusedEstimator:
         Frames that were used, by array.
     logbook
         Gets every state of every track, where there is one.
+    receivers
+        The arrays as fusion sees them.
+    witness
+        Is told of all transmissions, as they are located, and where they came from; one row each.
 
     Raises
     ------
@@ -86,8 +90,8 @@ class FusedEstimator:
         known = {one.name: one for one in placements}
         places = [known.get(array.name, Placement(array.name)) for array in self.arrays]
         on_time = [place.on_time(array) for place, array in zip(places, self.arrays, strict=True)]
-        self._receivers = [Receiver(array) for array in on_time]
-        sites = [receiver.site for receiver in self._receivers]
+        self.receivers = [Receiver(array) for array in on_time]
+        sites = [receiver.site for receiver in self.receivers]
         self.options = options or Options()
         if self.fusion.clock == "shared" and self.options.delay == "relative":
             raise ValueError(
@@ -103,7 +107,7 @@ class FusedEstimator:
             if len(self.arrays) == 1
             else Fuser(sites, self._ground, self.clock)
         )
-        shapes = [receiver.shape for receiver in self._receivers]
+        shapes = [receiver.shape for receiver in self.receivers]
         if len(self.arrays) == 1:
             shapes = [(alone.antennas, alone.subcarriers)]
         self._gathering = Gathering(shapes, self.fusion.window_ms, self._frames_a_position())
@@ -111,6 +115,7 @@ class FusedEstimator:
         self._looks, self._watch = Looks(sites, self.arrays), ArrayWatch(sites, self.clock, places)
         self.rejected, self.heard = Counters(), Counters()
         self.logbook: Logbook | None = None
+        self.witness: Callable[[Events, Fused], None] | None = None
 
     @property
     def method(self) -> Method:
@@ -155,7 +160,7 @@ class FusedEstimator:
         if (number := self._number.get(block.array)) is None:
             self.rejected.add("unknown_array", len(block))
             return
-        receiver = self._receivers[number]
+        receiver = self.receivers[number]
         if block.csi.shape[1:] != (receiver.array.antennas, receiver.array.subcarriers):
             self.rejected.add("shape", len(block))
             return
@@ -248,7 +253,7 @@ class FusedEstimator:
             x, y = zip(*outline, strict=True)
             box = (min(x), min(y), max(x), max(y))
         if box is None:
-            around = Area.around([receiver.site for receiver in self._receivers], level)
+            around = Area.around([receiver.site for receiver in self.receivers], level)
             box = (*around.low, *around.high)
         return Area(box[:2], box[2:], level, told.slope, told.heights_m, outline)
 
@@ -272,9 +277,11 @@ class FusedEstimator:
         fused = self._fuser.locate(events.frames, near)
         shown = events
         if len(self.arrays) == 1:
-            shown = replace(events, frames=[self._receivers[0].prepared(events.frames[0])])
+            shown = replace(events, frames=[self.receivers[0].prepared(events.frames[0])])
         self._looks.see(shown, fused)
         self._watch.see(shown, fused)
+        if self.witness is not None:
+            self.witness(shown, fused)
         if self._tracker is None:
             return self._published(events, fused, None)
         seen = sightings(fused) if len(self.arrays) > 1 else single_sightings(fused)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from chachart.node.estimation.fusion.fuser import Clock
 from chachart.node.estimation.fusion.site import Complex, Floats, Site, phasor
 
 Profiles = NDArray[np.float32]
@@ -36,15 +37,19 @@ class Profiler:
     ----------
     sites
         The arrays.
-    absolute
-        Whether delays are distances. If not, a profile does not change when all delays of a beam do.
+    clock
+        `shared`: delays are distances. `offset`: delays of all arrays may be shifted alike from frame to frame;
+        each frame's are counted from their mean. `own`: those of every array may be; so are their own.
     """
 
-    def __init__(self, sites: Sequence[Site], absolute: bool = True) -> None:
-        self._pictures = [_Picture(site, number, absolute) for number, site in enumerate(sites)]
+    def __init__(self, sites: Sequence[Site], clock: Clock = "shared") -> None:
+        self._pictures = [_Picture(site, number) for number, site in enumerate(sites)]
+        self._clock = clock
 
     def of(self, frames: Sequence[Complex]) -> Profiles:
         """Profiles (K, LENGTH) of one complex64 (K, N, S) an array, zeros where it has heard nothing."""
+        if self._clock != "shared":
+            frames = _from_mean_delay(frames, self._clock == "offset")
         total = np.zeros((len(frames[0]), LENGTH), np.float32)
         for picture, csi in zip(self._pictures, frames, strict=True):
             total += picture.projected(csi)
@@ -54,17 +59,14 @@ class Profiler:
 class _Picture:
     """One array's share in the profiles."""
 
-    def __init__(self, site: Site, number: int, absolute: bool) -> None:
+    def __init__(self, site: Site, number: int) -> None:
         self._beams = beams(site)
         tones = len(site.tones_hz)
         self._window = np.hanning(tones + 2)[1:-1].astype(np.float32)
         self._pool = int(np.ceil(OVERSAMPLING * tones / MOST_DELAYS))
         self._bins = int(np.ceil(OVERSAMPLING * tones / self._pool)) * self._pool
-        self._absolute = absolute
-        delays = self._bins // self._pool
-        self._shape = len(self._beams), delays if absolute else delays // 2 + 1
         rng = np.random.default_rng(number)
-        size = self._shape[0] * self._shape[1]
+        size = len(self._beams) * (self._bins // self._pool)
         self._projection = rng.standard_normal((size, LENGTH), np.float32) / np.float32(np.sqrt(LENGTH))
 
     def projected(self, csi: Complex) -> Profiles:
@@ -83,8 +85,19 @@ class _Picture:
         power = z.real**2 + z.imag**2
         if self._pool > 1:
             power = power.reshape(*power.shape[:2], -1, self._pool).mean(axis=3)
-        amplitude = np.sqrt(power)
-        return amplitude if self._absolute else np.abs(fft.rfft(amplitude, axis=2))
+        return np.sqrt(power)
+
+
+def _from_mean_delay(frames: Sequence[Complex], together: bool) -> list[Complex]:
+    """Frames whose power-weighted mean delay round the circle of unambiguous ones is 0."""
+    turns = [np.einsum("kns,kns->k", csi[:, :, 1:], csi[:, :, :-1].conj()) for csi in frames]
+    if together:
+        turns = [np.sum(turns, axis=0)] * len(frames)
+    back = [
+        np.exp(-1j * np.angle(turn)[:, None] * np.arange(csi.shape[2]))
+        for turn, csi in zip(turns, frames, strict=True)
+    ]
+    return [(csi * turn[:, None]).astype(np.complex64) for csi, turn in zip(frames, back, strict=True)]
 
 
 def beams(site: Site) -> Complex:
