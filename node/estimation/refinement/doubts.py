@@ -16,9 +16,8 @@ UNKNOWN_M = 1e3
 
 
 def outliers(chart: ChartUpdate) -> Floats:
-    """Probability (U,) that a row is far off: what fusion says, or that another path was the direct one."""
-    doubt = chart["outlier"] if "outlier" in chart.columns else 1 - chart["p_direct"]
-    found: Floats = np.nan_to_num(np.asarray(doubt, np.float64), nan=0.0)
+    """Probability (U,) that a row is farther off than `covariances` say; theirs are all there is of one array."""
+    found: Floats = np.nan_to_num(np.asarray(chart["outlier"], np.float64), nan=0.0)
     return found
 
 

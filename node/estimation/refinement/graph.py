@@ -12,7 +12,7 @@ from chachart.node.estimation.refinement.profile import Profiles
 
 Floats = NDArray[np.float64]
 
-NEIGHBOURS = 12
+NEIGHBOURS = 8
 _BLOCK_BYTES = 1 << 26
 _BINS = 32
 _FARTHEST = 0.95
@@ -29,7 +29,7 @@ class Graph:
     links
         Sparse (U, U): the distances in metres that pairs are expected to have.
     usual_m
-        Median of these.
+        How far apart they are where both positions are sure, root mean square: what neighbours are worth.
     """
 
     links: sparse.csr_array
@@ -94,8 +94,8 @@ def graph(profiles: Profiles, place: Floats, sure: NDArray[np.bool_], k: int = N
     both = sure[first] & sure[second]
     far = np.linalg.norm(place[first] - place[second], axis=1)
     expected = _expected(unlike.ravel(), unlike.ravel()[both], far[both])
-    usual = float(np.median(expected))
-    expected = np.maximum(expected, max(_NEAREST * usual, 1e-6))
+    usual = float(np.sqrt(np.square(far[both]).mean())) if both.any() else float(np.ptp(place, axis=0).max())
+    expected = np.maximum(expected, max(_NEAREST * float(np.median(expected)), 1e-6))
     one_way = sparse.csr_array((expected, (first, second)), shape=(count, count))
     return Graph(sparse.csr_array(one_way.maximum(one_way.T)), max(usual, 1e-6))
 

@@ -27,6 +27,8 @@ OVERSAMPLING = 1.5
 """Beams and delays for each resolution cell."""
 MOST_BEAMS, MOST_DELAYS = 256, 128
 """Larger spectra are sampled more coarsely in angle, and averaged over neighbouring delays."""
+FLAT = 0.6
+"""Squared mean of an amplitude spectrum by its mean square; noise has pi / 4, and says nothing."""
 _CHUNK_BYTES = 1 << 24
 
 
@@ -75,8 +77,9 @@ class _Picture:
         step = max(_CHUNK_BYTES // (8 * len(self._beams) * self._bins), 1)
         for i in range(0, len(csi), step):
             amplitude = self._amplitude(csi[i : i + step]).reshape(-1, self._projection.shape[0])
-            size = np.sqrt(np.einsum("kf,kf->k", amplitude, amplitude))
-            amplitude /= np.where(size > 0, size, 1)[:, None]
+            energy = np.einsum("kf,kf->k", amplitude, amplitude)
+            heard = np.square(amplitude.mean(axis=1)) * amplitude.shape[1] < FLAT * energy
+            amplitude *= np.where(heard, 1 / np.sqrt(np.maximum(energy, 1e-30)), 0)[:, None]
             np.matmul(amplitude, self._projection, out=found[i : i + step])
         return found
 

@@ -32,8 +32,10 @@ LINKS = 10.0
 LEAST_DOUBT, MOST_DOUBT = 0.005, 0.98
 VOTES = 0.3
 """Share of trusted neighbours from which on they are believed in full."""
-CHANCE = 0.002
-"""That neighbours' places say nothing."""
+LEAST_CHANCE = 0.002
+"""That neighbours are elsewhere though the estimate is right; how often that is so is seen in sure UEs."""
+ELSEWHERE = 9.0
+"""Squared deviations from where neighbours are that mean elsewhere."""
 LEAST_SPREAD = 0.05
 """Variance of what neighbours say, by the square of the usual distance."""
 OWN_SPREAD = 0.5
@@ -183,7 +185,9 @@ class _Chart:
         off = self._own - said
         square = np.einsum("ui,uij,uj->u", off, np.linalg.inv(whole), off)
         density = np.exp(-square / 2) / (2 * np.pi * np.sqrt(np.linalg.det(whole)))
-        found: Floats = np.log(density * self._area + CHANCE)
+        sure = self._odds >= np.median(self._odds)
+        chance = max(float((square[sure] > ELSEWHERE).mean()), LEAST_CHANCE)
+        found: Floats = np.log(density * self._area + chance)
         return found
 
     def _summed(self, values: Floats) -> Floats:
