@@ -118,7 +118,9 @@ def _of_finite(
     usable = np.isfinite(place).all(axis=1) & (np.abs(profiles).max(axis=1) > 0)
     parts = [None if v is None else v[usable] for v in (place, covariance, outlier, tops, scores)]
     own, spread, doubt, others, scored = parts
-    assert own is not None and spread is not None and doubt is not None
+    assert own is not None
+    assert spread is not None
+    assert doubt is not None
     whole = doubt + np.trace(spread, axis1=1, axis2=2) / max(float(np.ptp(own, axis=0).max()) ** 2, 1e-12)
     try:
         neighbours = graph(profiles[usable], own, whole <= np.median(whole))

@@ -66,7 +66,7 @@ class FusedEstimator:
     receivers
         The arrays as fusion sees them.
     witness
-        Is told of all transmissions, as they are located, and where they came from; one row each.
+        Is told of all transmissions and where they came from, one row each.
 
     Raises
     ------
@@ -173,8 +173,9 @@ class FusedEstimator:
 
     def newest(self, updates: Sequence[ChartUpdate] | Iterator[ChartUpdate]) -> ChartUpdate:
         """The last row of each UE."""
-        found = [update for update in updates if len(update)]
-        return ChartUpdate.concatenate(found) if found else self._nothing()
+        return (
+            ChartUpdate.concatenate(found) if (found := [u for u in updates if len(u)]) else self._nothing()
+        )
 
     def forget(self, now_ns: int) -> NDArray[np.uint64]:
         """As `ChartEstimator.forget`."""

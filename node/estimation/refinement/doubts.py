@@ -16,7 +16,7 @@ UNKNOWN_M = 1e3
 
 
 def outliers(chart: ChartUpdate) -> Floats:
-    """Probability (U,) that a row is farther off than `covariances` say; theirs are all there is of one array."""
+    """Probability (U,) that a row is farther off than `covariances` say; 0 for rows of one array."""
     found: Floats = np.nan_to_num(np.asarray(chart["outlier"], np.float64), nan=0.0)
     return found
 

@@ -12,7 +12,7 @@ from chachart.node.estimation.refinement.profile import Profiles
 
 Floats = NDArray[np.float64]
 
-NEIGHBOURS = 8
+NEIGHBOURS = 10
 _BLOCK_BYTES = 1 << 26
 _BINS = 32
 _FARTHEST = 0.95

@@ -40,8 +40,8 @@ class Profiler:
     sites
         The arrays.
     clock
-        `shared`: delays are distances. `offset`: delays of all arrays may be shifted alike from frame to frame;
-        each frame's are counted from their mean. `own`: those of every array may be; so are their own.
+        `shared`: delays are distances. `offset`: delays of all arrays may be shifted alike from frame to
+        frame; each frame's are counted from their mean. `own`: those of every array may be; so are their own.
     """
 
     def __init__(self, sites: Sequence[Site], clock: Clock = "shared") -> None:
@@ -104,7 +104,7 @@ def _from_mean_delay(frames: Sequence[Complex], together: bool) -> list[Complex]
 
 
 def beams(site: Site) -> Complex:
-    """Conjugate steering vectors (D, N) of directions all round, as dense as the aperture tells them apart."""
+    """Conjugate steering vectors (D, N) of directions all round, as dense as the aperture needs."""
     around = (site.elements - site.centre) / site.wavelength_m
     _, _, axes = np.linalg.svd(around, full_matrices=True)
     places = around @ axes.T
@@ -124,6 +124,6 @@ def _directions(aperture: Floats, over: float) -> Floats:
     axes = [np.arange(-1, 1 + s / 2, s) if w else np.zeros(1) for s, w in zip(steps, wide, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     size = np.linalg.norm(points, axis=1)
-    if wide.all():
-        return points[np.abs(size - 1) <= max(steps) / 2] / size[np.abs(size - 1) <= max(steps) / 2, None]
-    return points[size <= 1 + 1e-9]
+    near = np.abs(size - 1) <= max(steps) / 2 if wide.all() else size <= 1 + 1e-9
+    found: Floats = points[near] / (size[near, None] if wide.all() else 1)
+    return found

@@ -5,8 +5,8 @@ Minimised is the stress of the graph of neighbours with every UE's own likelihoo
     sum_i (x_i - p_i)^T R_i (x_i - p_i) + sum_ij w_ij (|x_i - x_j| - d_ij)^2,
 
 where R_i falls with the doubt in the estimate p_i: the square of its odds against being an outlier, and the
-inverse of its covariance. The doubt grows where UEs with channels alike agree on another place (agreement does
-not lessen it: echoes mislead neighbours alike), so doubts and places are worked out in turn, at first
+inverse of its covariance. The doubt grows where UEs with channels alike agree on another place (agreement
+does not lessen it: echoes mislead neighbours alike), so doubts and places are worked out in turn, at first
 without d_ij, then by majorisation (SMACOF; de Leeuw 1977). It needs no training and no known position.
 """
 
@@ -30,7 +30,7 @@ PRIOR = 2.0
 """What even odds weigh against a link of the usual length, of which `LINKS` are reckoned with."""
 LINKS = 10.0
 LEAST_DOUBT, MOST_DOUBT = 0.005, 0.98
-VOTES = 0.3
+VOTES = 0.1
 """Share of trusted neighbours from which on they are believed in full."""
 LEAST_CHANCE = 0.002
 """That neighbours are elsewhere though the estimate is right; how often that is so is seen in sure UEs."""
@@ -39,7 +39,7 @@ ELSEWHERE = 9.0
 LEAST_SPREAD = 0.05
 """Variance of what neighbours say, by the square of the usual distance."""
 OWN_SPREAD = 0.5
-"""An estimate whose deviation is below this part of the usual distance has nothing to learn from neighbours."""
+"""An estimate with a deviation below this part of the usual distance has nothing to learn from others."""
 TOP_SPREADS = 4.0
 """Squared spreads within which one of a UE's own maxima is where its neighbours are."""
 
@@ -77,7 +77,7 @@ def refine(
         Other places (U, M, 2) that a UE's likelihood allows, with log likelihoods (U, M), -inf for none.
     """
     chart = _Chart(neighbours, place, covariance, outlier)
-    found, trust, said, spread = chart.settled()
+    found, trust, spread = chart.settled()
     if tops is None or scores is None:
         tops, scores = place[:, None], np.zeros((len(place), 1))
     off = np.square(tops - found[:, None]).sum(axis=2)
@@ -110,11 +110,11 @@ class _Chart:
         weight = LINKS / links / self._far
         self._weight = weight
         matrix = sparse.csr_array((weight, (self._first, self._second)), shape=(count, count))
-        self._sum = np.asarray(matrix.sum(axis=1))
+        self._sum: Floats = np.asarray(matrix.sum(axis=1))
         self._matrix = matrix
 
-    def settled(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Places (U, 2), trust (U,), and what neighbours say: places (U, 2) and variances (U,); in metres."""
+    def settled(self) -> tuple[Floats, Floats, Floats]:
+        """Places (U, 2), trust (U,), and the variance (U,) of what neighbours say; in metres."""
         odds, place = self._odds, self._own
         for _ in range(ROUNDS):
             prior = self._prior(odds)
@@ -125,19 +125,13 @@ class _Chart:
         prior = self._prior(odds)
         for _ in range(STEPS):
             place = self._balanced(prior, place, self._pushed(place))
-        said, spread, _ = self._said(place, expit(odds))
-        back = self._middle, self._unit
-        return (
-            back[0] + back[1] * place,
-            expit(odds),
-            back[0] + back[1] * said,
-            spread * self._unit**2,
-        )
+        _, spread, _ = self._said(place, expit(odds))
+        return self._middle + self._unit * place, expit(odds), spread * self._unit**2
 
     def _prior(self, odds: Floats) -> Floats:
         """R (U, 2, 2)."""
         doubt = np.exp(-2 * np.clip(odds, -6, 6)) / PRIOR
-        return np.linalg.inv(self._covariance + doubt[:, None, None] * np.eye(2))
+        return np.asarray(np.linalg.inv(self._covariance + doubt[:, None, None] * np.eye(2)), np.float64)
 
     def _balanced(self, prior: Floats, start: Floats, push: Floats) -> Floats:
         """Where prior and links balance: (L + R) x = R p + push, by conjugate gradients."""
@@ -169,7 +163,7 @@ class _Chart:
         return self._summed((self._weight * self._far / length)[:, None] * apart)
 
     def _said(self, place: Floats, trust: Floats) -> tuple[Floats, Floats, Floats]:
-        """Where neighbours that are trusted put each UE (U, 2), the variance of that, and their share (U,)."""
+        """Where trusted neighbours put each UE (U, 2), the variance of that, and their share (U,)."""
         near = 1 / (self._far**2 + 0.01)
         vote = near * trust[self._second]
         total = self._summed(vote) + 1e-12
@@ -194,5 +188,5 @@ class _Chart:
         """Sums of values (E,) or (E, 2) over the links of each UE."""
         count = len(self._own)
         if values.ndim == 1:
-            return np.bincount(self._first, values, count)
+            return np.bincount(self._first, values, count).astype(np.float64)
         return np.stack([np.bincount(self._first, column, count) for column in values.T], axis=1)

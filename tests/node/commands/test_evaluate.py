@@ -270,3 +270,11 @@ def test_a_distance_scaled_by_its_own_place_is_not_compared(
     assert "m off, median" not in out
     assert main(["evaluate", str(tmp_path / "a.mcap"), "--set", "estimator.isq_reference=[10,50]"]) == 0
     assert "m off, median" in capsys.readouterr().out
+
+
+def test_a_chart_in_line_of_sight_is_left_as_it_is_by_refinement(recording: Path, tmp_path: Path) -> None:
+    report = tmp_path / "refined.json"
+    assert main(["evaluate", str(recording), "--refine", "--json", str(report)]) == 0
+    figures = json.loads(report.read_text())
+    assert figures["refined"]["moved"] <= 3
+    assert figures["refined"]["error_m"] == pytest.approx(figures["error_m"], abs=0.05)

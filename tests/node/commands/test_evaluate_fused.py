@@ -87,3 +87,17 @@ def test_archives_that_do_not_go_together_are_refused(
     assert main(["import", str(tmp_path / "short.npz"), str(tmp_path / "out.mcap")]) != 0
     assert "freqs must be 32 even frequencies" in capsys.readouterr().err
     assert not (tmp_path / "out.mcap").exists()
+
+
+def test_refined_positions_are_told_beside_the_others(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = tmp_path / "refined.json"
+    assert main(["evaluate", str(recording), "--refine", "--json", str(report)]) == 0
+    figures = json.loads(report.read_text())
+    assert figures["error_m"] < 0.1
+    assert figures["refined"]["positions"] == 60
+    assert figures["refined"]["error_m"] < 0.1
+    assert "refined   " in capsys.readouterr().out
+    assert main(["evaluate", str(recording), "--refine", "--set", "tracking.motion=walk"]) != 0
+    assert "tracking.motion=off" in capsys.readouterr().err
