@@ -63,10 +63,8 @@ class FusedEstimator:
         Frames that were used, by array.
     logbook
         Gets every state of every track, where there is one.
-    receivers
-        The arrays as fusion sees them.
-    witness
-        Is told of all transmissions and where they came from, one row each.
+    receivers, witness
+        The arrays as fusion sees them, and who is told of all transmissions and their origins, row by row.
 
     Raises
     ------
