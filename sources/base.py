@@ -60,12 +60,15 @@ class Source(ABC):
         What was wrong with the last of it, in words for people; None where nothing was.
     security, others
         `[security]`, and further arrays whose frames come; whoever runs the source sets them before `open`.
+    catching_up
+        Set by whoever reads: some UEs have had these frames already, others not, so that a pause has to wait.
     """
 
     Settings: ClassVar[type[SourceSettings]]
     lossless: bool = False
     security: SecuritySettings = SecuritySettings()
     others: tuple[ArrayGeometry, ...] = ()
+    catching_up: bool = False
 
     def __init__(self, settings: Any, array: ArrayGeometry) -> None:
         self.settings = settings

@@ -130,12 +130,14 @@ class Recording(Source):
                 raise EndOfSource
             self._playback.wait(timeout)
             return None
-        if self._playback.paused:
+        paused = self._playback.paused
+        if paused and not self.catching_up:
             self._playback.wait(timeout)
             return None
         if not self._playback.started:
             self._playback.start(self._first_ns)
-        ready = len(self._waiting) if self._playback.speed == 0 else self._due(self._waiting, timeout)
+        at_once = paused or self._playback.speed == 0
+        ready = len(self._waiting) if at_once else self._due(self._waiting, timeout)
         if not ready:
             return None
         block = self._waiting.cut(0, ready)

@@ -126,8 +126,8 @@ class Reader:
         counted
             The counts of who read before, as `status` gives them.
         read_before
-            So many frames had been read: those and what was applied are read even after `stop`, so that all
-            UEs are at the same frame.
+            So many frames had been read: those and what was applied are read even after `stop` and in a
+            pause, so that all UEs are at the same frame.
         """
         self._number = self.passed_on = mark.frame
         self._applied = applied
@@ -198,6 +198,7 @@ class Reader:
 
     def _step(self) -> None:
         self._mark()
+        self._source.catching_up = self._number < self._read_before
         self._asked_at = time.monotonic()
         block = self._source.recv(RECV_TIMEOUT_S)
         now, self._asked_at = time.monotonic(), None

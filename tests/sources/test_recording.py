@@ -164,6 +164,18 @@ def test_it_jumps_pauses_and_goes_back_from_the_end(path: Path, blocks: list[Csi
             source.replay(at_s=1e6)
 
 
+def test_a_pause_waits_until_all_ues_are_at_the_same_frame(path: Path, blocks: list[CsiBlock]) -> None:
+    with Recording(RecordingSettings(path=path, speed=1e-6), small_array()) as source:
+        source.replay(paused=True)
+        assert source.recv(0.0) is None
+        source.catching_up = True
+        block = source.recv(0.0)
+        assert block is not None
+        np.testing.assert_array_equal(block.csi[: len(blocks[0])], blocks[0].csi)
+        source.catching_up = False
+        assert source.recv(0.0) is None
+
+
 def test_density_says_where_the_frames_are(path: Path) -> None:
     with Recording(RecordingSettings(path=path), small_array()) as source:
         density = source.replay()["density"]

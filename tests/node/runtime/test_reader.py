@@ -30,7 +30,7 @@ COUNTED: dict[str, Any] = {
 
 
 class Listed(Source):
-    """Gives what it was given."""
+    """Gives what it was given, and notes the blocks before which it was told that a pause has to wait."""
 
     Settings = SourceSettings
 
@@ -39,12 +39,15 @@ class Listed(Source):
         self.lossless = lossless
         self._blocks = blocks
         self._given = 0
+        self.catching_up_at: list[int] = []
 
     def open(self) -> None: ...
 
     def recv(self, timeout: float) -> CsiBlock | None:
         if self._given == len(self._blocks):
             raise EndOfSource
+        if self.catching_up:
+            self.catching_up_at.append(self._given)
         self._given += 1
         return self._blocks[self._given - 1]
 
@@ -128,6 +131,16 @@ def test_what_had_been_read_before_is_read_even_after_stop() -> None:
     reader, out = read(blocks(6)[1:], prepare=prepare)
     assert sum(len(block) for block in out) == 50 - 25
     assert reader.passed_on == 50, "whole blocks"
+
+
+def test_the_source_is_told_that_a_pause_has_to_wait() -> None:
+    source = Listed(blocks(6)[1:], lossless=True)
+    queues = ShardQueues([ShardQueue(1000, 1000, True)], True, lambda: None)
+    reader = Reader(source, Partitioner(1, 7), queues)
+    reader.go_on(Mark(10, {"blocks": 1}), [(2, 0, 25)], COUNTED, read_before=42)
+    reader.start()
+    reader.join(30.0)
+    assert source.catching_up_at == [0, 1, 2, 3], "from frame 10 up to 42"
 
 
 def test_live_frames_of_another_day_get_the_hosts_time() -> None:
