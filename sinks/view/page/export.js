@@ -2,6 +2,7 @@
 
 import { css } from './colours.js';
 import { font, ticks, tickText } from './axes.js';
+import { pdfOf } from './pdf.js';
 
 function save(blob, name) {
   const link = document.createElement('a');
@@ -58,8 +59,8 @@ export function savePng(picture, caption, array) {
 
 const escaped = (text) => `${text}`.replace(/[&<>"]/g, (c) => ({ '&': '&amp;', '<': '&lt;', '>': '&gt;', '"': '&quot;' })[c]);
 
-/** What is seen as SVG, for papers: every point a circle, with axes, caption and colour key. */
-export function saveSvg(picture, caption, array) {
+/** What is seen as SVG: every point a circle, with axes, caption and colour key. */
+function drawn(picture, caption) {
   const { world, colouring, view, colours } = picture;
   const [width, height] = view.size;
   const packed = new Uint32Array(world.rows);
@@ -94,6 +95,12 @@ export function saveSvg(picture, caption, array) {
     text(width - 266, height + 18, said.low, 'end');
     text(width - 94, height + 18, said.high, 'start');
   }
-  const svg = `<svg xmlns="http://www.w3.org/2000/svg" width="${width}" height="${height + 30}" font-family="sans-serif" font-size="11"><rect width="100%" height="100%" fill="${colours.plot}"/>${parts.join('')}</svg>`;
-  save(new Blob([svg], { type: 'image/svg+xml' }), `chart-${array}-${stamp()}.svg`);
+  return `<svg xmlns="http://www.w3.org/2000/svg" width="${width}" height="${height + 30}" font-family="sans-serif" font-size="11"><rect width="100%" height="100%" fill="${colours.plot}"/>${parts.join('')}</svg>`;
+}
+
+/** What is seen as a drawing for papers, SVG or PDF. */
+export function saveDrawing(picture, caption, array, kind) {
+  const svg = drawn(picture, caption);
+  const [content, type] = kind === 'pdf' ? [pdfOf(svg), 'application/pdf'] : [svg, 'image/svg+xml'];
+  save(new Blob([content], { type }), `chart-${array}-${stamp()}.${kind}`);
 }

@@ -5,7 +5,7 @@ import { showAntennas, showResponse } from './antennas.js';
 import { showArrays, showBearings } from './arrays.js';
 import { redraw } from './curve.js';
 import { showPaths, strongPaths, Waterfall } from './depth.js';
-import { saveCsv, savePng, saveSvg } from './export.js';
+import { saveCsv, saveDrawing, savePng } from './export.js';
 import { History } from './history.js';
 import { bindKeys } from './keys.js';
 import { List } from './list.js';
@@ -281,7 +281,7 @@ function caption() {
 }
 
 const png = () => savePng(picture, caption(), hello?.array.name ?? 'node');
-const svg = () => saveSvg(picture, caption(), hello?.array.name ?? 'node');
+const drawing = (kind) => saveDrawing(picture, caption(), hello?.array.name ?? 'node', kind);
 const csv = () => saveCsv(world, hello?.array.name ?? 'node', { theta: $('theta').value, rho: $('rho').value });
 const dark = () => document.documentElement.dataset.theme === 'dark';
 
@@ -310,7 +310,7 @@ $('follow').addEventListener('change', () => {
 const clicks = {
   ues: () => list.show(),
   plan: () => plan.show(),
-  pause, record: () => recordings.startOrStop(), png, svg, csv, theme: () => theme(dark() ? 'light' : 'dark'), reset: () => picture.fit(), close: () => select(null),
+  pause, record: () => recordings.startOrStop(), png, svg: () => drawing('svg'), pdf: () => drawing('pdf'), csv, theme: () => theme(dark() ? 'light' : 'dark'), reset: () => picture.fit(), close: () => select(null),
   in: () => picture.view.zoom(1.4), out: () => picture.view.zoom(1 / 1.4), help: () => $('keys').showModal(), cancel: () => $('recording').close(),
 };
 for (const [id, run] of Object.entries(clicks)) $(id).addEventListener('click', run);
@@ -334,7 +334,7 @@ bindKeys([
   [['m'], 'choose the method', () => $('theta').focus()],
   [['r'], 'record, or stop recording', () => recordings.startOrStop()],
   [['s'], 'save the picture (PNG)', png],
-  [['g'], 'save the picture for a paper (SVG)', svg],
+  [['g', 'o'], 'save the picture for a paper: SVG, PDF', (event) => drawing(event.key === 'g' ? 'svg' : 'pdf')],
   [['e'], 'save the table (CSV)', csv],
   [['d'], 'dark or light', () => clicks.theme()],
   [['?'], 'these keys', () => $('keys').showModal()],

@@ -134,12 +134,21 @@ def test_everything_works_from_the_keyboard(node: LiveNode, tmp_path: Path) -> N
         with page.expect_download() as drawing:
             press("g")
         drawing.value.save_as(tmp_path / "chart.svg")
+        with page.expect_download() as paper:
+            press("o")
+        paper.value.save_as(tmp_path / "chart.pdf")
         assert complaints == []
     with (tmp_path / "chart.csv").open() as file:
         assert sorted(int(row["ue"]) for row in csv.DictReader(file)) == list(range(60))
     assert (tmp_path / "chart.png").read_bytes().startswith(b"\x89PNG")
     circles = ElementTree.parse(tmp_path / "chart.svg").iter("{http://www.w3.org/2000/svg}circle")
     assert len(list(circles)) >= 60
+    pdf = (tmp_path / "chart.pdf").read_bytes()
+    assert pdf.startswith(b"%PDF-1.4")
+    start = int(pdf.split(b"startxref\n")[1].split()[0])
+    places = [int(line.split()[0]) for line in pdf[start:].splitlines()[3:8]]
+    assert [pdf[place:].startswith(b"%d 0 obj" % i) for i, place in enumerate(places, 1)] == [True] * 5
+    assert pdf.count(b" c f\n") >= 60, "a point a UE"
 
 
 def test_recording_by_hand(node: LiveNode) -> None:
