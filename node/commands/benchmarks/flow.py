@@ -207,7 +207,9 @@ def _decode_chart(bodies: list[bytes]) -> list[tuple[int, ChartUpdate]]:
 def _chart(ues: int) -> ChartUpdate:
     rng = np.random.default_rng(2)
     columns: dict[str, Any] = {
-        c.name: rng.uniform(0.1, 3.0, ues) for c in COLUMNS.values() if c.dtype == "float64"
+        column.name: rng.uniform(0.1, 3.0, ues)
+        for column in COLUMNS.values()
+        if column.dtype == "float64" and column.shape(ues) == (ues,)
     }
     ue = np.arange(ues, dtype=np.uint64)
     return ChartUpdate("lab", Method("bartlett", "bartlett"), ue, 100_000 * ue.astype(np.int64), **columns)

@@ -104,8 +104,8 @@ def started(notebook: Notebook) -> Iterator[Callable[..., SinkThread]]:
 
 def chart(*ue: int, x: float = 0.0) -> ChartUpdate:
     k = len(ue)
-    names = [c.name for c in COLUMNS.values() if c.dtype == "float64"]
-    columns = {name: np.full(k, x) for name in names}
+    floats = [column for column in COLUMNS.values() if column.dtype == "float64"]
+    columns = {column.name: np.full(column.shape(k), x) for column in floats}
     method = Method("bartlett", "bartlett")
     return ChartUpdate("lab", method, np.array(ue, np.uint64), np.zeros(k, int), **columns)
 

@@ -11,14 +11,14 @@ from chachart.node.runtime.table import ChartTable
 
 def update(ue: list[int], time_ns: int = 0, x: float = 0.0, known: bool = False) -> ChartUpdate:
     k = len(ue)
-    names = [c.name for c in COLUMNS.values() if c.dtype == "float64"]
+    floats = [column for column in COLUMNS.values() if column.dtype == "float64"]
     position = np.full((k, 3), x, np.float32) if known else None
     return ChartUpdate(
         "lab",
         Method("bartlett", "music"),
         np.array(ue, np.uint64),
         np.full(k, time_ns),
-        **{name: np.full(k, x) for name in names},
+        **{column.name: np.full(column.shape(k), x) for column in floats},
         position=position,
     )
 
